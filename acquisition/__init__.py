@@ -1,0 +1,1 @@
+"""Acquisition: plans, patterns and their decoding, and the session on disk."""

@@ -1,0 +1,111 @@
+"""Files and folders that appear whole or not at all.
+
+A file is written beside its destination, flushed to the disk, and renamed over it; a folder is
+filled under a temporary name and renamed when it is complete. Whoever reads sees the old state or
+the new one, never half of one, whatever interrupts the writer.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+
+def fsync_folder(folder: Path) -> None:
+    """Flush a folder's entries, so that a rename inside it survives a power cut."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+@contextmanager
+def file_in_progress(destination: Path) -> Iterator[Path]:
+    """Yield a temporary path that becomes ``destination`` when the block ends without error.
+
+    The temporary name keeps the destination's suffix, because image writers choose the format by
+    it. On any error, interruption included, the temporary file is removed and ``destination`` is
+    left as it was.
+    """
+    destination = Path(destination)
+    descriptor, name = tempfile.mkstemp(
+        prefix=f".{destination.stem}.", suffix=destination.suffix, dir=destination.parent
+    )
+    os.close(descriptor)
+    temporary = Path(name)
+    try:
+        yield temporary
+        with open(temporary, "rb") as written:
+            os.fsync(written.fileno())
+        temporary.chmod(0o666 & ~_umask())
+        temporary.replace(destination)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+    fsync_folder(destination.parent)
+
+
+def write_bytes(destination: Path, content: bytes) -> None:
+    """Write ``content`` to ``destination``, whole or not at all."""
+    with file_in_progress(destination) as temporary:
+        temporary.write_bytes(content)
+
+
+@contextmanager
+def folder_in_progress(destination: Path, *, replace: bool = False) -> Iterator[Path]:
+    """Yield a temporary folder that becomes ``destination`` when the block ends without error.
+
+    Parameters
+    ----------
+    destination : Path
+        The folder to make; its parent is made if needed.
+    replace : bool
+        Whether an existing ``destination`` is replaced; otherwise it is an error.
+
+    Raises
+    ------
+    FileExistsError
+        ``destination`` exists and ``replace`` is false.
+    """
+    destination = Path(destination)
+    if destination.exists() and not replace:
+        raise FileExistsError(f"{destination} exists already")
+    destination.parent.mkdir(parents=True, exist_ok=True)
+    temporary = Path(
+        tempfile.mkdtemp(prefix=f".{destination.name}.", dir=destination.parent.absolute())
+    )
+    try:
+        temporary.chmod(0o777 & ~_umask())
+        yield temporary
+        _rename_folder(temporary, destination)
+    except BaseException:
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise
+    fsync_folder(destination.parent)
+
+
+def _rename_folder(temporary: Path, destination: Path) -> None:
+    if not destination.exists():
+        temporary.rename(destination)
+        return
+    # A folder cannot be renamed over a full one: step the old one aside, and back on failure.
+    aside = Path(tempfile.mkdtemp(prefix=f".{destination.name}.", dir=destination.parent))
+    destination.rename(aside / "old")
+    try:
+        temporary.rename(destination)
+    except BaseException:
+        (aside / "old").rename(destination)
+        raise
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

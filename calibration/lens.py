@@ -1,0 +1,221 @@
+"""Lens models. This is the one module that calls mrcal.
+
+A lens maps directions to pixels. Directions are points in the camera frame (x right, y down,
+z forward), pixels are (column, row) with (0, 0) at the centre of the first pixel. A projector is a
+camera that emits: the same model, with the panel as the sensor.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import mrcal
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.errors import CalibrationError
+
+OPENCV_MODELS = {
+    0: "LENSMODEL_PINHOLE",
+    4: "LENSMODEL_OPENCV4",
+    5: "LENSMODEL_OPENCV5",
+    8: "LENSMODEL_OPENCV8",
+    12: "LENSMODEL_OPENCV12",
+}
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A lens model with its parameters.
+
+    Attributes
+    ----------
+    model : str
+        mrcal's name of the model, ``LENSMODEL_OPENCV5`` say.
+    intrinsics : (n,) float64 array
+        f_x, f_y, c_x, c_y in pixels, then the distortion.
+    width, height : int
+        Imager size in pixels.
+    """
+
+    model: str
+    intrinsics: NDArray[np.float64]
+    width: int
+    height: int
+
+    def __post_init__(self) -> None:
+        expected = mrcal.lensmodel_num_params(self.model)
+        if self.intrinsics.shape != (expected,):
+            raise CalibrationError(
+                f"{self.model} takes {expected} parameters, not {self.intrinsics.shape}"
+            )
+        if not np.isfinite(self.intrinsics).all():
+            raise CalibrationError(f"{self.model} has parameters that are not finite")
+        if (self.intrinsics[:2] <= 0).any():
+            raise CalibrationError(
+                f"focal lengths must be positive, not {self.intrinsics[:2].tolist()} px"
+            )
+
+    @classmethod
+    def from_opencv(
+        cls,
+        camera_matrix: NDArray[np.float64],
+        distortion: NDArray[np.float64],
+        *,
+        width: int,
+        height: int,
+    ) -> Lens:
+        """Make a lens from OpenCV's matrix and distortion vector.
+
+        Parameters
+        ----------
+        camera_matrix : (3, 3) array
+            OpenCV's camera matrix; skew must be zero.
+        distortion : (n,) array
+            k1, k2, p1, p2[, k3[, k4, k5, k6[, s1, s2, s3, s4]]]; n is 0, 4, 5, 8 or 12.
+
+        Raises
+        ------
+        CalibrationError
+            A shape that OpenCV does not know, or a skewed matrix.
+        """
+        matrix = np.asarray(camera_matrix, dtype=np.float64)
+        coefficients = np.asarray(distortion, dtype=np.float64).ravel()
+        if matrix.shape != (3, 3):
+            raise CalibrationError(f"a camera matrix is 3×3, not {matrix.shape}")
+        if abs(matrix[0, 1]) > 1e-9 * abs(matrix[0, 0]):
+            raise CalibrationError("camera matrices with skew are not supported")
+        if coefficients.size not in OPENCV_MODELS:
+            raise CalibrationError(
+                f"{coefficients.size} distortion coefficients; OpenCV's models have "
+                f"{sorted(OPENCV_MODELS)}"
+            )
+        core = matrix[[0, 1, 0, 1], [0, 1, 2, 2]]
+        return cls(
+            OPENCV_MODELS[coefficients.size],
+            np.concatenate([core, coefficients]),
+            width=int(width),
+            height=int(height),
+        )
+
+    @property
+    def focal_px(self) -> NDArray[np.float64]:
+        """f_x and f_y in pixels, (2,)."""
+        return self.intrinsics[:2]
+
+    def project(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Pixels at which points in the camera frame are seen.
+
+        Parameters
+        ----------
+        points : (..., 3) array
+            Points in the lens's frame, z > 0.
+
+        Returns
+        -------
+        (..., 2) float64 array
+        """
+        return np.asarray(
+            mrcal.project(np.ascontiguousarray(points, dtype=np.float64), *self._mrcal_lens)
+        )
+
+    def project_with_gradient(
+        self, points: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Pixels of points, and their derivative by the point.
+
+        Returns
+        -------
+        pixels : (..., 2) float64 array
+        gradient : (..., 2, 3) float64 array
+            ``d pixel / d point``.
+        """
+        pixels, by_point, _ = mrcal.project(
+            np.ascontiguousarray(points, dtype=np.float64), *self._mrcal_lens, get_gradients=True
+        )
+        return pixels, by_point
+
+    def unproject(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Viewing rays of pixels.
+
+        Parameters
+        ----------
+        pixels : (..., 2) array
+            Pixels.
+
+        Returns
+        -------
+        (..., 3) float64 array
+            Directions scaled to z = 1.
+        """
+        rays = mrcal.unproject(np.ascontiguousarray(pixels, dtype=np.float64), *self._mrcal_lens)
+        return np.asarray(rays / rays[..., 2:])
+
+    def save(self, path: Path, *, rt_this_ref: NDArray[np.float64] | None = None) -> None:
+        """Write a mrcal ``.cameramodel`` file; ``rt_this_ref`` is the lens's pose."""
+        pose = np.zeros(6) if rt_this_ref is None else np.asarray(rt_this_ref, dtype=np.float64)
+        model = mrcal.cameramodel(
+            intrinsics=self._mrcal_lens, imagersize=(self.width, self.height), rt_cam_ref=pose
+        )
+        model.write(str(path))
+
+    @classmethod
+    def load(cls, path: Path) -> tuple[Lens, NDArray[np.float64]]:
+        """Read a mrcal ``.cameramodel`` file.
+
+        Returns
+        -------
+        lens : Lens
+        rt_this_ref : (6,) float64 array
+            The pose stored with it.
+
+        Raises
+        ------
+        CalibrationError
+            The file is missing or not a camera model.
+        """
+        try:
+            model = mrcal.cameramodel(str(path))
+            name, intrinsics = model.intrinsics()
+            width, height = model.imagersize()
+            pose = (
+                model.rt_cam_ref()
+                if hasattr(model, "rt_cam_ref")
+                else model.extrinsics_rt_fromref()
+            )
+        except Exception as error:  # mrcal raises bare Exceptions of its own
+            raise CalibrationError(f"{path}: not a readable camera model ({error})") from error
+        lens = cls(name, np.array(intrinsics, dtype=np.float64), int(width), int(height))
+        return lens, np.array(pose, dtype=np.float64)
+
+    @property
+    def _mrcal_lens(self) -> tuple[str, NDArray[np.float64]]:
+        return self.model, self.intrinsics
+
+
+def rt_from_matrix(
+    rotation: NDArray[np.float64], translation: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Rodrigues pose (6,) of a rotation matrix (3, 3) and a translation (3,)."""
+    return np.concatenate([mrcal.r_from_R(np.ascontiguousarray(rotation)), np.ravel(translation)])
+
+
+def compose(rt_a_b: NDArray[np.float64], rt_b_c: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Pose ``rt_a_c`` of ``rt_a_b`` after ``rt_b_c``, (6,) each."""
+    return np.asarray(mrcal.compose_rt(rt_a_b, rt_b_c))
+
+
+def invert(rt_a_b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Pose ``rt_b_a`` of ``rt_a_b``, (6,)."""
+    return np.asarray(mrcal.invert_rt(rt_a_b))
+
+
+def rotation(rt_a_b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotation matrix (3, 3) of a pose (6,)."""
+    return np.asarray(mrcal.R_from_r(rt_a_b[:3]))
+
+
+def transform(rt_a_b: NDArray[np.float64], points_b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points (..., 3) of frame b in frame a."""
+    return np.asarray(points_b @ rotation(rt_a_b).T + rt_a_b[3:])

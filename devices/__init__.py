@@ -1,0 +1,1 @@
+"""Devices: interfaces of camera, projector and light arm, and what fills them."""

@@ -1,0 +1,1 @@
+"""Fitting: range image, canvas, height field, relief boxes, and the digital copy."""

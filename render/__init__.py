@@ -1,0 +1,1 @@
+"""Rendering of digital copies through pyrender."""

@@ -1,0 +1,1 @@
+"""The desk the operator sits at: command line, pipeline, demo and reports."""

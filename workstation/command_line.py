@@ -1,0 +1,65 @@
+"""The ``impasto`` command: one sub-command per module of :mod:`workstation.commands`.
+
+Exit codes are stable: 0 done, 2 usage, 3 bad input, 4 device, 5 quality gate refused,
+130 interrupted.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import typer
+from rich.console import Console
+
+from devices.errors import ImpastoError
+
+EXIT_BAD_INPUT = 3
+EXIT_INTERRUPTED = 130
+
+app = typer.Typer(
+    name="impasto",
+    help="Digitise paintings with structured light and render the copies.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def main() -> None:
+    """Run the command line and end with the exit code of its outcome."""
+    # Commands are registered on import; each keeps its heavy imports inside its function, so
+    # that `impasto --help` stays quick.
+    from workstation import commands
+
+    commands.register(app)
+    messages = Console(stderr=True, highlight=False, soft_wrap=True)
+    try:
+        app(standalone_mode=False)
+    except ImpastoError as error:
+        messages.print(f"[bold red]error:[/] {_escape(str(error))}")
+        sys.exit(error.exit_code)
+    except (KeyboardInterrupt, typer.Abort):
+        messages.print("[bold]interrupted[/]; nothing half-written was left behind")
+        sys.exit(EXIT_INTERRUPTED)
+    except typer.Exit as leave:
+        sys.exit(leave.exit_code)
+    except OSError as error:
+        messages.print(f"[bold red]error:[/] {_escape(str(error))}")
+        sys.exit(EXIT_BAD_INPUT)
+    except Exception as error:
+        # click's own usage errors know how to show themselves; anything else is a defect of ours.
+        if hasattr(error, "show") and hasattr(error, "exit_code"):
+            error.show()
+            sys.exit(error.exit_code)
+        raise
+
+
+def _escape(text: str) -> str:
+    from rich.markup import escape
+
+    return escape(text)
+
+
+if __name__ == "__main__":
+    main()
