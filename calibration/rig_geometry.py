@@ -43,7 +43,7 @@ class RigGeometry:
             )
 
     def save(self, folder: Path) -> None:
-        """Write ``camera.cameramodel`` and ``projector.cameramodel``; the camera is the reference."""
+        """Write both camera models; the camera is the reference frame."""
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
         self.camera.save(folder / CAMERA_FILE)
