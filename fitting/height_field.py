@@ -8,7 +8,7 @@ Row 0 is the top edge of the painting: texel ``[r, c]`` is centred on
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,6 +90,16 @@ class HeightField:
         """Lowest and highest measured height; the second is H of the paper."""
         measured = self.height[self.mask]
         return float(measured.min()), float(measured.max())
+
+    def without(self, texels: NDArray[np.bool_]) -> HeightField:
+        """The same height field with more gaps, where ``texels`` (rows, cols) is true."""
+        mask = self.mask & ~texels
+        return replace(
+            self,
+            mask=mask,
+            height=np.where(mask, self.height, np.float32(0)),
+            variance=np.where(mask, self.variance, np.float32(0)),
+        )
 
     def texel_x_mm(self) -> NDArray[np.float64]:
         """X of the texel centres by column, (cols,) float64."""

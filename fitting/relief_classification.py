@@ -1,0 +1,135 @@
+"""Relief classification (paper section 4.3): δ0, the mask of significant relief, and its boxes.
+
+The paper thresholds the heights and drops small components against noise. On thin relief the
+noise of single texels reaches the threshold itself, so here the heights are averaged, for the
+classification only, until their predicted noise is small against δ0; on a relief well above its
+noise nothing is averaged and the paper's rule is left.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.errors import FittingError
+from fitting.height_field import HeightField
+from fitting.relief import Relief, ReliefBoxes
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReliefOptions:
+    """How relief is classified.
+
+    Attributes
+    ----------
+    delta0_mm : float or None
+        δ0 by hand, above the canvas plane; None takes ``delta0_share`` of H.
+    delta0_share : float
+        Share of H; the paper uses 0.2 to 0.4.
+    cell : int
+        Edge n of a cell in texels.
+    smallest_mm2 : float
+        Connected significant relief smaller than this is dropped.
+    noise_share : float
+        Share of δ0 that the noise of the classified heights may reach.
+    """
+
+    delta0_mm: float | None = None
+    delta0_share: float = 0.3
+    cell: int = 20
+    smallest_mm2: float = 1.0
+    noise_share: float = 0.2
+
+
+def classify_relief(field: HeightField, options: ReliefOptions | None = None) -> Relief:
+    """Split a height field into negligible and significant relief.
+
+    Parameters
+    ----------
+    field : HeightField
+        Heights above the canvas plane.
+    options : ReliefOptions, optional
+        Threshold, cell size and limits.
+
+    Returns
+    -------
+    Relief
+
+    Raises
+    ------
+    FittingError
+        A threshold or cell size that makes no sense.
+    """
+    options = options or ReliefOptions()
+    if options.cell < 1:
+        raise FittingError(f"a cell has at least one texel, not {options.cell}")
+    if options.delta0_mm is not None and not np.isfinite(options.delta0_mm):
+        raise FittingError(f"δ0 must be a finite height, not {options.delta0_mm} mm")
+    delta0, smoothed = _threshold(field, options)
+    valid = field.mask & (smoothed > delta0)
+    least = max(1, round(options.smallest_mm2 / field.pitch_mm**2))
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(valid.astype(np.uint8), connectivity=8)
+    large = stats[:, cv2.CC_STAT_AREA] >= least
+    large[0] = False
+    significant = large[labels]
+    return Relief(float(delta0), options.cell, significant, _boxes(field, significant, options))
+
+
+def _threshold(field: HeightField, options: ReliefOptions) -> tuple[float, NDArray[np.float32]]:
+    """δ0, and heights averaged until their noise is small against it."""
+    sigma = float(np.sqrt(np.median(field.variance[field.mask])))
+    blur = 0.0  # Gaussian standard deviation in texels
+    heights = field.height
+    for _ in range(6):
+        measured = heights[field.mask]
+        highest = float(np.quantile(measured, 0.9995)) if measured.size > 2000 else measured.max()
+        delta0 = options.delta0_mm
+        if delta0 is None:
+            delta0 = options.delta0_share * max(float(highest), 0.0)
+        # White noise of σ averaged by a Gaussian of width s keeps σ / (2 √π s).
+        wanted = sigma / (2 * np.sqrt(np.pi) * max(options.noise_share * abs(delta0), 1e-12))
+        wanted = float(min(wanted, options.cell)) if wanted > 0.5 else 0.0
+        if wanted <= 1.1 * blur or wanted == 0.0:
+            break
+        blur = wanted
+        heights = _masked_blur(field.height, field.mask, blur)
+    return float(delta0), heights
+
+
+def _masked_blur(
+    height: NDArray[np.float32], mask: NDArray[np.bool_], sigma: float
+) -> NDArray[np.float32]:
+    inside = mask.astype(np.float32)
+    total = cv2.GaussianBlur(height * inside, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
+    weight = cv2.GaussianBlur(inside, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(total / np.maximum(weight, 1e-6), dtype=np.float32)
+
+
+def _boxes(
+    field: HeightField, significant: NDArray[np.bool_], options: ReliefOptions
+) -> ReliefBoxes:
+    n = options.cell
+    rows, cols = field.shape
+    cells_down, cells_across = -(-rows // n), -(-cols // n)
+    padded = np.zeros((cells_down * n, cells_across * n), np.bool_)
+    padded[:rows, :cols] = significant
+    heights = np.full(padded.shape, -np.inf, np.float32)
+    heights[:rows, :cols] = np.where(field.mask, field.height, -np.inf)
+
+    def by_cell(array: NDArray[np.generic]) -> NDArray[np.generic]:
+        cells = array.reshape(cells_down, n, cells_across, n).swapaxes(1, 2)
+        return cells.reshape(cells_down, cells_across, n * n)
+
+    kept = np.argwhere(by_cell(padded).any(axis=2))
+    inside = by_cell(heights)[kept[:, 0], kept[:, 1]].astype(np.float32)
+    top = inside.argmax(axis=1) if len(kept) else np.zeros(0, np.int64)
+    corner = kept * n
+    return ReliefBoxes(
+        corner.astype(np.int32),
+        np.minimum(n, np.array([rows, cols]) - corner).astype(np.int32),
+        inside[np.arange(len(kept)), top],
+        (corner + np.stack([top // n, top % n], axis=1)).astype(np.int32),
+    )
