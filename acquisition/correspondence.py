@@ -41,6 +41,8 @@ class AxisCoordinate:
         Variance of ``coordinate`` in square pixels; infinite where rejected.
     modulation : (rows, cols) float32 array
         Fringe amplitude B in sensor numbers.
+    period_px : float
+        Period of the finest fringe: what a wrong fringe order shifts the coordinate by.
     residual_rms : float
         RMS of what the fringe model leaves unexplained, in sensor numbers; NaN if there are no
         more steps than unknowns.
@@ -49,6 +51,7 @@ class AxisCoordinate:
     coordinate: NDArray[np.float64]
     variance: NDArray[np.float32]
     modulation: NDArray[np.float32]
+    period_px: float
     residual_rms: float
 
 

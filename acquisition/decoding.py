@@ -180,7 +180,11 @@ def decode(
             rejection |= np.where(outside, Rejection.OUT_OF_RANGE, 0).astype(np.uint8)
             finest = of_axis[-1]
             axes[axis] = AxisCoordinate(
-                coordinate, variance, finest.modulation, finest.residual_rms
+                coordinate,
+                variance,
+                finest.modulation,
+                finest.fringe.period_px,
+                finest.residual_rms,
             )
     valid = rejection == 0
     if not valid.any():
@@ -190,6 +194,7 @@ def decode(
             np.where(valid, decoded.coordinate, np.nan),
             np.where(valid, decoded.variance, np.inf).astype(np.float32),
             decoded.modulation,
+            decoded.period_px,
             decoded.residual_rms,
         )
     ambient = np.mean([fit.ambient for fit in fitted], axis=0, dtype=np.float32)
@@ -202,7 +207,7 @@ def decode(
 def estimate_noise(fringes: list[tuple[Fringe, NDArray[np.generic]]]) -> SampleNoise:
     """Noise of a sample from the redundancy of the fringes.
 
-    With four steps or more, each fringe's own residual; with three, the means of several fringes,
+    With four steps or more, the white part of each fringe's own residual; with three, the means of several fringes,
     which should agree; with a single three-step fringe, the differences of neighbouring pixels,
     which also hold texture, so that the noise is overestimated.
 
@@ -215,24 +220,22 @@ def estimate_noise(fringes: list[tuple[Fringe, NDArray[np.generic]]]) -> SampleN
     -------
     SampleNoise
     """
-    thin = (slice(None), slice(None, None, _NOISE_STRIDE), slice(None, None, _NOISE_STRIDE))
-    redundant = [(f, stack[thin]) for f, stack in fringes if len(f.shifts_rad) > 3]
+    redundant = [(f, stack) for f, stack in fringes if len(f.shifts_rad) > 3]
     if redundant:
         levels, sums, freedom = [], [], len(redundant[0][0].shifts_rad) - 3
         for fringe, stack in redundant:
-            if len(fringe.shifts_rad) - 3 != freedom:
-                continue
-            level, modulation, residual = _residual(fringe, stack.astype(np.float64))
-            lit = modulation > np.sqrt(residual / freedom)
-            levels.append(level[lit])
-            sums.append(residual[lit])
+            if len(fringe.shifts_rad) - 3 == freedom:
+                level, squares = _white_residual(fringe, stack)
+                levels.append(level)
+                sums.append(squares)
         if sum(map(len, levels)) > 100:
             return fit_sample_noise(
                 np.concatenate(levels),
                 np.concatenate(sums),
                 degrees_of_freedom=freedom,
-                origin=f"residual of {freedom + 3} phase steps",
+                origin=f"white part of the residual of {freedom + 3} phase steps",
             )
+    thin = (slice(None), slice(None, None, _NOISE_STRIDE), slice(None, None, _NOISE_STRIDE))
     if len(fringes) > 1:
         steps = len(fringes[0][0].shifts_rad)
         means = np.stack([stack[thin].mean(axis=0).ravel() for _, stack in fringes])
@@ -255,14 +258,31 @@ def estimate_noise(fringes: list[tuple[Fringe, NDArray[np.generic]]]) -> SampleN
     )
 
 
+def _white_residual(
+    fringe: Fringe, stack: NDArray[np.generic]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Level, and sum of squared residuals of the fringe fit with what is smooth in space removed.
+
+    Harmonics of the projector and steps of its grey levels leave a residual too, the same along a
+    fringe and smooth across it. Second differences along the rows keep only the white part.
+    """
+    level, modulation, residual = _residual(fringe, stack[:, :: 2 * _NOISE_STRIDE])
+    second = (residual[:, :, 2:] - 2 * residual[:, :, 1:-1] + residual[:, :, :-2]) / np.sqrt(6)
+    squares = (second**2).sum(axis=0)
+    total = (residual[:, :, 1:-1] ** 2).sum(axis=0)
+    lit = modulation[:, 1:-1] > 2 * np.sqrt(total / (len(stack) - 3))
+    return level[:, 1:-1][lit], squares[lit]
+
+
 def _residual(
-    fringe: Fringe, stack: NDArray[np.float64]
+    fringe: Fringe, stack: NDArray[np.generic]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    samples = stack.reshape(len(stack), -1)
-    parameters = fringe.solution @ samples
+    """Mean A, modulation B, and the residuals of every step, of the fringe fit."""
+    samples = stack.astype(np.float64)
+    parameters = np.tensordot(fringe.solution, samples, axes=1)
     shifts = fringe.shifts_rad
     design = np.stack([np.ones_like(shifts), np.cos(shifts), np.sin(shifts)], axis=1)
-    residual = ((samples - design @ parameters) ** 2).sum(axis=0)
+    residual = samples - np.tensordot(design, parameters, axes=1)
     return parameters[0], np.hypot(parameters[1], parameters[2]), residual
 
 
@@ -297,11 +317,12 @@ def _fit(
     rms = float("nan")
     freedom = len(fringe.shifts_rad) - 3
     if freedom > 0:
-        thin = stack[:, ::_NOISE_STRIDE, ::_NOISE_STRIDE].astype(np.float64)
+        thin = stack[:, ::_NOISE_STRIDE, ::_NOISE_STRIDE]
         _, amplitude, residual = _residual(fringe, thin)
-        lit = amplitude > np.sqrt(residual / freedom)
+        squares = (residual**2).sum(axis=0)
+        lit = amplitude > 2 * np.sqrt(squares / freedom)
         if lit.any():
-            rms = float(np.sqrt(np.mean(residual[lit]) / freedom))
+            rms = float(np.sqrt(np.mean(squares[lit]) / freedom))
     return _FittedFringe(fringe, turns, variance, modulation, ambient, saturated, rms)
 
 

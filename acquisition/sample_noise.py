@@ -2,7 +2,8 @@
 
 A linear sensor's noise grows with the light (photon transfer): ``variance = read + gain * level``
 in squared sensor numbers. Where a calibrated sensor model exists it is used; a foreign capture has
-none, but its fringes are redundant, and what the fringe model leaves unexplained is the noise.
+none, but its fringes are redundant, and what the fringe model leaves unexplained holds the noise,
+beside harmonics of the projector that are smooth in space and no noise.
 """
 
 from __future__ import annotations

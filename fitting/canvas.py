@@ -105,7 +105,9 @@ def extract_canvas(range_image: RangeImage, options: CanvasOptions | None = None
     valid = range_image.valid
     centre, normal = _trimmed_plane(range_image.points[valid])
     slope, slope_sigma = _slope(range_image, normal, centre)
-    smooth = valid & (slope < options.maximum_slope + options.sigmas * slope_sigma)
+    noise = options.sigmas * slope_sigma
+    # Where noise alone reaches the limit nothing is known of the slope, and the fill stops too.
+    smooth = valid & (slope < options.maximum_slope + noise) & (noise < options.maximum_slope)
     region = _seed_region(smooth, options.seed_window)
     outline = _erode(ndimage.binary_fill_holes(region), options.erosion_px)
     mask = outline & valid

@@ -56,16 +56,16 @@ def accumulate_local_planes(
     variance: NDArray[np.float64],
     radius_x: float,
     radius_y: float,
-    rows: int,
-    cols: int,
+    wanted: NDArray[np.bool_],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float32], NDArray[np.int32]]:
-    """Sums for a weighted plane through the samples around every texel.
+    """Sums for a weighted plane through the samples around every wanted texel.
 
     ``x`` and ``y`` are in texels (column and row of the grid), the weight is a tent of the given
     half-widths. Returns the moments (rows, cols, 9) of weight: 1, x, y, xx, xy, yy, z, xz, yz; the
     moments (rows, cols, 6) of squared weight times variance: 1, x, y, xx, xy, yy; the distance to
     the nearest sample in units of the half-widths; and the number of samples.
     """
+    rows, cols = wanted.shape
     moments = np.zeros((rows, cols, 9))
     noise = np.zeros((rows, cols, 6))
     nearest = np.full((rows, cols), np.inf, np.float32)
@@ -79,6 +79,8 @@ def accumulate_local_planes(
             dy = y[n] - row
             tent_y = 1.0 - abs(dy) / radius_y
             for col in range(first_col, last_col + 1):
+                if not wanted[row, col]:
+                    continue
                 dx = x[n] - col
                 weight = tent_y * (1.0 - abs(dx) / radius_x)
                 if weight <= 0.0:

@@ -40,12 +40,16 @@ class RangeImage:
         :class:`~acquisition.correspondence.Rejection` bits.
     focal_px : float
         Focal length of the camera, which turns depth into the spacing of the points.
+    misalignment_px : float
+        RMS of the smooth disagreement between decoded columns and rows that was taken out: an
+        error of the calibration across the baseline. 0 where only one axis was decoded.
     """
 
     points: NDArray[np.float64]
     depth_variance: NDArray[np.float64]
     rejection: NDArray[np.uint8]
     focal_px: float
+    misalignment_px: float
 
     @property
     def valid(self) -> NDArray[np.bool_]:
@@ -62,6 +66,9 @@ class RangeOptions:
     epipolar_tolerance_px : float
         Disagreement between column and row, beyond ``sigmas`` standard deviations, that a
         calibration is allowed.
+    repair_orders : bool
+        Whether a wrong fringe order, in either coordinate, is put right where exactly one
+        correction satisfies the rig's geometry.
     sigmas : float
         Standard deviations of noise that are no outlier.
     maximum_slope : float
@@ -72,6 +79,7 @@ class RangeOptions:
     """
 
     epipolar_tolerance_px: float = 2.0
+    repair_orders: bool = True
     sigmas: float = 6.0
     maximum_slope: float = 5.0
     agreeing_share: float = 0.3
@@ -109,14 +117,26 @@ def triangulate(
         observed[:, _AXIS_INDEX[axis]] = decoded.coordinate[use]
         weight[:, _AXIS_INDEX[axis]] = 1.0 / decoded.variance[use]
 
+    both = len(correspondence.axes) == 2
+    tolerance = np.full(len(rays), np.inf)
+    misalignment = 0.0
+    if both:
+        sigma = np.sqrt((1 / np.maximum(weight, 1e-30)).sum(axis=1))
+        tolerance = options.epipolar_tolerance_px + options.sigmas * sigma
+        observed, misalignment = _align_epipolar(rays, observed, weight, rig)
     depth, variance, misfit = _solve_depth(rays, observed, weight, rig)
+    off = np.flatnonzero(~(misfit <= tolerance))
+    if both and options.repair_orders and len(off):
+        periods = np.array([correspondence.axes[a].period_px for a in (Axis.COLUMN, Axis.ROW)])
+        observed[off] = _repair_orders(rays[off], observed[off], tolerance[off], periods, rig)
+        depth[off], variance[off], misfit[off] = _solve_depth(
+            rays[off], observed[off], weight[off], rig
+        )
     rejection = correspondence.rejection.copy()
     reasons = np.zeros(len(rays), np.uint8)
     reasons[~(np.isfinite(depth) & (depth > 0))] |= np.uint8(Rejection.NO_INTERSECTION)
-    if len(correspondence.axes) == 2:
-        sigma = np.sqrt((1 / np.maximum(weight, 1e-30)).sum(axis=1))
-        off = misfit > options.epipolar_tolerance_px + options.sigmas * sigma
-        reasons[off] |= np.uint8(Rejection.OFF_EPIPOLAR)
+    if both:
+        reasons[~(misfit <= tolerance)] |= np.uint8(Rejection.OFF_EPIPOLAR)
     rejection[use] |= reasons
 
     depth_image = np.full(use.shape, np.nan)
@@ -143,7 +163,86 @@ def triangulate(
         )
     depth_image[~valid] = np.nan
     variance_image[~valid] = np.inf
-    return RangeImage(depth_image[..., np.newaxis] * ray_image, variance_image, rejection, focal)
+    points = depth_image[..., np.newaxis] * ray_image
+    return RangeImage(points, variance_image, rejection, focal, misalignment)
+
+
+def _align_epipolar(
+    rays: NDArray[np.float64],
+    observed: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    rig: RigGeometry,
+) -> tuple[NDArray[np.float64], float]:
+    """Coordinates with the smooth disagreement between the axes removed, and its RMS in pixels.
+
+    The axis across the baseline says next to nothing of the depth, but an error of the calibration
+    along it would bend the surface. What that axis is off by, a polynomial over the picture and
+    the depth, is subtracted; wrong periods and noise stay, to be judged after.
+    """
+    _, gradient = rig.projector.project_with_gradient(
+        np.linalg.norm(rig.rt_proj_cam[3:]) * np.array([[0.0, 0.0, 5.0]])
+    )
+    along = int(np.argmax(np.abs(gradient[0] @ rig.rt_proj_cam[3:])))
+    across = 1 - along
+    only = np.zeros(2)
+    only[along] = 1.0
+    depth, _, _ = _solve_depth(rays, observed, np.broadcast_to(only, observed.shape), rig)
+    points = depth[:, np.newaxis] * (rays @ rotation(rig.rt_proj_cam).T) + rig.rt_proj_cam[3:]
+    seen = rig.projector.project(np.where(np.isfinite(points), points, 1.0))[:, across]
+    off = np.where(depth > 0, seen - observed[:, across], np.nan)
+
+    x, y = rays[:, 0], rays[:, 1]
+    near = np.median(depth[depth > 0]) / np.where(depth > 0, depth, np.inf) - 1
+    terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y, near, near * x, near * y], axis=1)
+    used = np.flatnonzero(np.isfinite(off) & (np.abs(near) < 1))
+    used = used[:: max(1, len(used) // 20_000)]
+    limit = np.inf
+    model = np.zeros(terms.shape[1])
+    for _ in range(8):
+        left = off[used] - terms[used] @ model
+        left -= np.median(left) if not model.any() else 0.0
+        limit = min(limit, max(4 * 1.4826 * float(np.median(np.abs(left))), 0.1))
+        inside = used[np.abs(left) <= limit]
+        if len(inside) < 10 * len(model):
+            return observed.copy(), 0.0
+        model = np.linalg.lstsq(terms[inside], off[inside], rcond=1e-8)[0]
+    aligned = observed.copy()
+    aligned[:, across] += np.where(np.isfinite(depth), terms @ model, 0.0)
+    return aligned, float(np.sqrt(np.mean((terms[inside] @ model) ** 2)))
+
+
+def _repair_orders(
+    rays: NDArray[np.float64],
+    observed: NDArray[np.float64],
+    tolerance: NDArray[np.float64],
+    periods: NDArray[np.float64],
+    rig: RigGeometry,
+) -> NDArray[np.float64]:
+    """Coordinates moved by the one combination of whole periods that the rig's geometry allows.
+
+    The order may be wrong by one, or by the whole panel where a coarse fringe of one period wrapped
+    at the panel's edge. A column fixes the depth and with it the row; a wrong order of either breaks that. A pixel
+    keeps its coordinates, and is rejected for them later, where no combination or more than one
+    fits.
+    """
+    repaired = observed.copy()
+    matches = np.zeros(len(rays), np.int32)
+    only_column = np.broadcast_to(np.array([1.0, 0.0]), observed.shape)
+    across, down = (
+        [-1, 0, 1] + [sign * (n - less) for sign in (-1, 1) for less in (0, 1) if n > 2]
+        for n in np.round([rig.projector.width, rig.projector.height] / periods).astype(int)
+    )
+    for column_order in across:
+        shifted = observed + np.array([column_order, 0.0]) * periods
+        depth, _, _ = _solve_depth(rays, shifted, only_column, rig)
+        points = depth[:, np.newaxis] * rays @ rotation(rig.rt_proj_cam).T + rig.rt_proj_cam[3:]
+        row = rig.projector.project(np.nan_to_num(points, nan=1.0))[:, 1]
+        for row_order in down:
+            candidate = shifted + np.array([0.0, row_order]) * periods
+            fits = (depth > 0) & (np.abs(candidate[:, 1] - row) <= tolerance)
+            repaired[fits] = candidate[fits]
+            matches += fits
+    return np.where((matches == 1)[:, np.newaxis], repaired, observed)
 
 
 def _solve_depth(

@@ -81,22 +81,28 @@ def classify_relief(field: HeightField, options: ReliefOptions | None = None) ->
 def _threshold(field: HeightField, options: ReliefOptions) -> tuple[float, NDArray[np.float32]]:
     """δ0, and heights averaged until their noise is small against it."""
     sigma = float(np.sqrt(np.median(field.variance[field.mask])))
-    blur = 0.0  # Gaussian standard deviation in texels
-    heights = field.height
-    for _ in range(6):
-        measured = heights[field.mask]
-        highest = float(np.quantile(measured, 0.9995)) if measured.size > 2000 else measured.max()
-        delta0 = options.delta0_mm
-        if delta0 is None:
-            delta0 = options.delta0_share * max(float(highest), 0.0)
-        # White noise of σ averaged by a Gaussian of width s keeps σ / (2 √π s).
-        wanted = sigma / (2 * np.sqrt(np.pi) * max(options.noise_share * abs(delta0), 1e-12))
-        wanted = float(min(wanted, options.cell)) if wanted > 0.5 else 0.0
-        if wanted <= 1.1 * blur or wanted == 0.0:
+    delta0, heights = 0.0, field.height
+    for blur in (0.0, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0):  # Gaussian width in texels
+        if blur > max(options.cell / 2, 1.0):
             break
-        blur = wanted
-        heights = _masked_blur(field.height, field.mask, blur)
+        # White noise of σ averaged by a Gaussian of width s keeps σ / (2 √π s).
+        noise = sigma
+        if blur > 0:
+            heights = _masked_blur(field.height, field.mask, blur)
+            noise = sigma / (2 * np.sqrt(np.pi) * blur)
+        delta0 = (
+            options.delta0_mm
+            if options.delta0_mm is not None
+            else (options.delta0_share * max(_highest(heights[field.mask]), 0.0))
+        )
+        if noise <= options.noise_share * abs(delta0):
+            break
     return float(delta0), heights
+
+
+def _highest(measured: NDArray[np.float32]) -> float:
+    """H without the few texels that noise or a highlight lifts above everything else."""
+    return float(np.quantile(measured, 0.9995) if measured.size > 2000 else measured.max())
 
 
 def _masked_blur(

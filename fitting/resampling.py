@@ -4,7 +4,8 @@ Around each texel a plane is fitted to the samples under a tent whose half-width
 pitch or the spacing of the samples, whichever is larger. On samples that lie on the grid's own
 spacing this is bilinear interpolation; on denser samples it averages them, so that nothing
 aliases; in both cases the height is a linear combination of the samples, and its variance follows
-exactly. Texels with no sample nearby stay gaps.
+exactly. Where the samples lie too far apart for that, the tent is twice as wide; texels with no
+sample within it stay gaps.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from fitting.range_image import RangeImage
 
 # A texel further than this from every sample, in half-widths, is a gap.
 _REACH = 0.75
+# Half-widths tried in turn, in units of the first.
+_WIDENINGS = (1.0, 2.0)
 _LARGEST_SIDE = 16384
 
 
@@ -63,22 +66,30 @@ def resample_heights(
     # The grid is centred on the points' extent.
     x0 = 0.5 * (low[0] + high[0]) - 0.5 * (cols - 1) * pitch
     y0 = 0.5 * (low[1] + high[1]) + 0.5 * (rows - 1) * pitch
-    moments, noise, nearest, count = accumulate_local_planes(
-        (local[:, 0] - x0) / pitch,
-        (y0 - local[:, 1]) / pitch,
-        local[:, 2],
-        variance,
-        max(1.0, spacing[0] / pitch),
-        max(1.0, spacing[1] / pitch),
-        int(rows),
-        int(cols),
-    )
-    height, texel_variance, determined = _solve_planes(moments, noise)
-    mask = determined & (nearest <= _REACH) & (count >= 3)
+    height = np.zeros((rows, cols))
+    texel_variance = np.zeros((rows, cols))
+    mask = np.zeros((rows, cols), np.bool_)
+    wanted = np.ones((rows, cols), np.bool_)
+    # Where the surface turns away from the camera its samples lie further apart than the median.
+    for widening in _WIDENINGS:
+        moments, noise, nearest, count = accumulate_local_planes(
+            (local[:, 0] - x0) / pitch,
+            (y0 - local[:, 1]) / pitch,
+            local[:, 2],
+            variance,
+            widening * max(1.0, spacing[0] / pitch),
+            widening * max(1.0, spacing[1] / pitch),
+            wanted,
+        )
+        plane, plane_variance, determined = _solve_planes(moments, noise)
+        found = wanted & determined & (nearest <= _REACH) & (count >= 3)
+        height[found], texel_variance[found] = plane[found], plane_variance[found]
+        mask |= found
+        wanted &= ~found
     return HeightField(
-        np.where(mask, height, 0.0).astype(np.float32),
+        height.astype(np.float32),
         mask,
-        np.where(mask, texel_variance, 0.0).astype(np.float32),
+        texel_variance.astype(np.float32),
         pitch,
         (float(x0), float(y0)),
         canvas.rt_cam_canvas,

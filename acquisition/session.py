@@ -1,0 +1,198 @@
+"""Reading a session: every file checked against the manifest before it is believed.
+
+A session is a folder with ``plan.json``, ``journal.jsonl``, ``frames/``, optionally ``rig.toml``
+and ``calibration/``, and ``manifest.sha256``, which the recording writes last. The manifest covers
+everything but the journal, whose times differ from one recording to the next.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from acquisition.errors import SessionError
+from acquisition.frame_files import SUFFIX, decode_frame
+from acquisition.journal import FrameRecorded, Stop, StopReason, read_journal
+from acquisition.plan import Plan
+
+PLAN_FILE = "plan.json"
+JOURNAL_FILE = "journal.jsonl"
+MANIFEST_FILE = "manifest.sha256"
+RIG_FILE = "rig.toml"
+FRAMES_FOLDER = "frames"
+CALIBRATION_FOLDER = "calibration"
+
+
+@dataclass(frozen=True)
+class Session:
+    """A finished session on disk.
+
+    Attributes
+    ----------
+    path : Path
+        The folder.
+    plan : Plan
+        What was captured.
+    digest : str
+        SHA-256 of the manifest: the identity of everything recorded.
+    recorded : dict
+        :class:`~acquisition.journal.FrameRecorded` by frame id.
+    """
+
+    path: Path
+    plan: Plan
+    digest: str
+    recorded: dict[str, FrameRecorded]
+
+    @classmethod
+    def open(cls, path: Path) -> Session:
+        """Open a session and check that it is whole.
+
+        Frame files are checked against their digests when they are read.
+
+        Raises
+        ------
+        SessionError
+            A file is missing, damaged, or not in the manifest; or the recording did not finish.
+        """
+        path = Path(path)
+        if not path.is_dir():
+            raise SessionError(f"{path}: no such session folder")
+        plan = read_plan(path)
+        events = read_journal(path / JOURNAL_FILE)
+        recorded = {e.id: e for e in events if isinstance(e, FrameRecorded)}
+        last = events[-1] if events else None
+        if not (isinstance(last, Stop) and last.reason is StopReason.SUCCESS):
+            state = f"{last.reason}: {last.why}" if isinstance(last, Stop) else "cut off"
+            raise SessionError(
+                f"{path}: the recording did not finish ({state}; {len(recorded)} of "
+                f"{len(plan.frames)} frames); resume it first"
+            )
+        manifest = _read_manifest(path / MANIFEST_FILE)
+        _check_files(path, manifest, plan, recorded)
+        digest = hashlib.sha256((path / MANIFEST_FILE).read_bytes()).hexdigest()
+        return cls(path, plan, digest, recorded)
+
+    @property
+    def calibration_folder(self) -> Path | None:
+        """Folder of the calibration in force at the recording, if there was one."""
+        folder = self.path / CALIBRATION_FOLDER
+        return folder if folder.is_dir() else None
+
+    def read_frame(self, frame_id: str) -> NDArray[np.generic]:
+        """Sensor numbers of a frame.
+
+        Returns
+        -------
+        (rows, cols) uint8 or uint16 array
+
+        Raises
+        ------
+        SessionError
+            The frame was not recorded, its file was altered, or it has another size than planned.
+        """
+        if frame_id not in self.recorded:
+            raise SessionError(f"{self.path}: frame {frame_id} was not recorded")
+        entry = self.recorded[frame_id]
+        file = self.path / entry.file
+        try:
+            content = file.read_bytes()
+        except FileNotFoundError:
+            raise SessionError(f"{file} is missing") from None
+        if hashlib.sha256(content).hexdigest() != entry.sha256:
+            image_error = _altered(file, content)
+            raise SessionError(image_error)
+        image = decode_frame(content, path=file)
+        expected = (self.plan.crop.height, self.plan.crop.width)
+        if image.shape != expected:
+            raise SessionError(f"{file}: {image.shape}, the plan says {expected}")
+        return image
+
+
+def read_plan(path: Path) -> Plan:
+    """Plan of a session folder.
+
+    Raises
+    ------
+    SessionError
+        Missing or malformed.
+    """
+    file = path / PLAN_FILE
+    try:
+        return Plan.model_validate_json(file.read_bytes())
+    except FileNotFoundError:
+        raise SessionError(f"{file} is missing: this is not a session") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "the file"
+        raise SessionError(f"{file}: {where}: {first['msg']}") from None
+
+
+def frame_file(frame_id: str) -> str:
+    """Path of a frame's file inside its session."""
+    return f"{FRAMES_FOLDER}/{frame_id}{SUFFIX}"
+
+
+def manifest_text(path: Path) -> str:
+    """Manifest of a session folder as it is: a digest and a path per line, sorted by path."""
+    files = [file for file in path.rglob("*") if file.is_file()]
+    names = sorted(file.relative_to(path).as_posix() for file in files)
+    covered = [name for name in names if name not in (JOURNAL_FILE, MANIFEST_FILE)]
+    return "".join(
+        f"{hashlib.sha256((path / name).read_bytes()).hexdigest()}  {name}\n" for name in covered
+    )
+
+
+def _altered(file: Path, content: bytes) -> str:
+    try:
+        decode_frame(content, path=file)
+    except SessionError as error:
+        return str(error)
+    return f"{file}: altered since it was recorded (digest differs); take it from a backup"
+
+
+def _read_manifest(file: Path) -> dict[str, str]:
+    try:
+        lines = file.read_text().splitlines()
+    except FileNotFoundError:
+        raise SessionError(f"{file} is missing: the recording did not finish; resume it") from None
+    except UnicodeDecodeError:
+        raise SessionError(f"{file}: not a text file") from None
+    entries = {}
+    for number, line in enumerate(lines, start=1):
+        digest, separator, name = line.partition("  ")
+        if not separator or len(digest) != 64:
+            raise SessionError(f"{file}, line {number}: not a digest and a path")
+        entries[name] = digest
+    return entries
+
+
+def _check_files(
+    path: Path, manifest: dict[str, str], plan: Plan, recorded: dict[str, FrameRecorded]
+) -> None:
+    """Compare the folder with the manifest; frames by name and journal, the rest by content."""
+    for frame in plan.frames:
+        entry = recorded.get(frame.id)
+        if entry is None:
+            raise SessionError(f"{path}: frame {frame.id} is planned but was not recorded")
+        if entry.file != frame_file(frame.id) or manifest.get(entry.file) != entry.sha256:
+            raise SessionError(
+                f"{path / MANIFEST_FILE} and {path / JOURNAL_FILE} disagree about frame {frame.id}"
+            )
+    there = {f.relative_to(path).as_posix() for f in path.rglob("*") if f.is_file()}
+    there -= {JOURNAL_FILE, MANIFEST_FILE}
+    missing, extra = sorted(set(manifest) - there), sorted(there - set(manifest))
+    if missing:
+        raise SessionError(f"{path / missing[0]} is missing ({len(missing)} files in all)")
+    if extra:
+        raise SessionError(f"{path / extra[0]} does not belong to the session; remove it")
+    for name, digest in manifest.items():
+        if name.startswith(f"{FRAMES_FOLDER}/"):
+            continue
+        if hashlib.sha256((path / name).read_bytes()).hexdigest() != digest:
+            raise SessionError(f"{path / name}: altered since it was recorded (digest differs)")
