@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from acquisition.correspondence import AxisCoordinate, CorrespondenceMap, Rejection
 from acquisition.errors import DecodingError
+from acquisition.frame_files import Samples
 from acquisition.fringe_kernels import fit_fringe, gray_to_cell, shift_in_bit, unwrap
 from acquisition.patterns import Axis, Gray, PhaseShift
-from acquisition.plan import Plan
+from acquisition.plan import Plan, PlannedFrame
 from acquisition.sample_noise import SampleNoise, fit_sample_noise
 
 # Every how many pixels, along both directions, the noise is sampled: enough for a per cent.
@@ -107,7 +108,7 @@ class _Coarse:
     contradicts: NDArray[np.bool_] = field(repr=False)
 
 
-ReadFrame = Callable[[str], NDArray[np.generic]]
+ReadFrame = Callable[[str], Samples]
 
 
 def find_fringes(plan: Plan) -> list[Fringe]:
@@ -204,12 +205,12 @@ def decode(
     )
 
 
-def estimate_noise(fringes: list[tuple[Fringe, NDArray[np.generic]]]) -> SampleNoise:
+def estimate_noise(fringes: list[tuple[Fringe, Samples]]) -> SampleNoise:
     """Noise of a sample from the redundancy of the fringes.
 
-    With four steps or more, the white part of each fringe's own residual; with three, the means of several fringes,
-    which should agree; with a single three-step fringe, the differences of neighbouring pixels,
-    which also hold texture, so that the noise is overestimated.
+    With four steps or more, the white part of each fringe's own residual; with three, the means
+    of several fringes, which should agree; with a single three-step fringe, the differences of
+    neighbouring pixels, which also hold texture, so that the noise is overestimated.
 
     Parameters
     ----------
@@ -259,7 +260,7 @@ def estimate_noise(fringes: list[tuple[Fringe, NDArray[np.generic]]]) -> SampleN
 
 
 def _white_residual(
-    fringe: Fringe, stack: NDArray[np.generic]
+    fringe: Fringe, stack: Samples
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Level, and sum of squared residuals of the fringe fit with what is smooth in space removed.
 
@@ -275,7 +276,7 @@ def _white_residual(
 
 
 def _residual(
-    fringe: Fringe, stack: NDArray[np.generic]
+    fringe: Fringe, stack: Samples
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Mean A, modulation B, and the residuals of every step, of the fringe fit."""
     samples = stack.astype(np.float64)
@@ -286,18 +287,16 @@ def _residual(
     return parameters[0], np.hypot(parameters[1], parameters[2]), residual
 
 
-def _read_stack(fringe: Fringe, plan: Plan, read_frame: ReadFrame) -> NDArray[np.generic]:
+def _read_stack(fringe: Fringe, plan: Plan, read_frame: ReadFrame) -> Samples:
     frames = [read_frame(frame_id) for frame_id in fringe.frame_ids]
     shape = (plan.crop.height, plan.crop.width)
     for frame_id, frame in zip(fringe.frame_ids, frames, strict=True):
         if frame.shape != shape:
             raise DecodingError(f"frame {frame_id} is {frame.shape}, the plan says {shape}")
-    return np.stack(frames)
+    return np.stack(frames)  # type: ignore[return-value]
 
 
-def _fit(
-    fringe: Fringe, stack: NDArray[np.generic], noise: SampleNoise, saturation: int
-) -> _FittedFringe:
+def _fit(fringe: Fringe, stack: Samples, noise: SampleNoise, saturation: int) -> _FittedFringe:
     shape = stack.shape[1:]
     turns, variance, modulation, ambient = (np.empty(shape, np.float32) for _ in range(4))
     saturated = np.zeros(shape, np.bool_)
@@ -369,8 +368,8 @@ def _gray_coordinate(
     axis: Axis, plan: Plan, read_frame: ReadFrame, ambient: NDArray[np.float32]
 ) -> _Coarse | None:
     """Centre of every pixel's Gray cell, or None where the plan has no Gray code of this axis."""
-    bits = {}
-    inverses = {}
+    bits: dict[int, PlannedFrame] = {}
+    inverses: dict[int, PlannedFrame] = {}
     for frame in plan.frames:
         if isinstance(frame.pattern, Gray) and frame.pattern.axis is axis:
             (inverses if frame.pattern.inverse else bits)[frame.pattern.bit] = frame

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from acquisition.errors import SessionError
 
+Samples = NDArray[np.uint8] | NDArray[np.uint16]
 SUFFIX = ".png"
 # Fast: fringes compress little better with more effort.
 _COMPRESSION = 1
 
 
-def encode_frame(image: NDArray[np.generic], *, name: str) -> bytes:
+def encode_frame(image: Samples, *, name: str) -> bytes:
     """Encode a frame.
 
     Parameters
@@ -44,7 +45,7 @@ def encode_frame(image: NDArray[np.generic], *, name: str) -> bytes:
     return encoded.tobytes()
 
 
-def decode_frame(content: bytes, *, path: Path) -> NDArray[np.generic]:
+def decode_frame(content: bytes, *, path: Path) -> Samples:
     """Decode what :func:`encode_frame` wrote.
 
     Raises
@@ -55,4 +56,4 @@ def decode_frame(content: bytes, *, path: Path) -> NDArray[np.generic]:
     image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None:
         raise SessionError(f"{path}: truncated, or not a picture")
-    return image
+    return image  # type: ignore[return-value]

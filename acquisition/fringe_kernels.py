@@ -17,7 +17,7 @@ TWO_PI = 2 * math.pi
 
 @njit(parallel=True, cache=True, fastmath={"contract", "reassoc"})
 def fit_fringe(
-    stack: NDArray[np.uint8],
+    stack: NDArray[np.uint8] | NDArray[np.uint16],
     solution: NDArray[np.float64],
     origin_turns: float,
     read_variance: float,
@@ -72,7 +72,9 @@ def fit_fringe(
 
 @njit(parallel=True, cache=True)
 def shift_in_bit(
-    code: NDArray[np.int32], bit_frame: NDArray[np.uint8], threshold: NDArray[np.float32]
+    code: NDArray[np.int32],
+    bit_frame: NDArray[np.uint8] | NDArray[np.uint16],
+    threshold: NDArray[np.float32],
 ) -> None:
     """Append one bit, ``bit_frame > threshold``, to every pixel's Gray word."""
     rows, cols = code.shape

@@ -7,6 +7,7 @@ file was damaged later, and is refused.
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Literal
@@ -95,10 +96,9 @@ def read_journal(path: Path) -> list[Start | FrameRecorded | Stop]:
                 "was damaged after it was recorded, take it from a backup"
             ) from None
     if torn:
-        try:
+        # A crash in the middle of a line: the event did not happen.
+        with suppress(ValidationError):
             events.append(_EVENT.validate_json(torn))
-        except ValidationError:
-            pass  # a crash in the middle of a line: the event did not happen
     return events
 
 

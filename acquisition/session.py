@@ -11,12 +11,10 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from acquisition.errors import SessionError
-from acquisition.frame_files import SUFFIX, decode_frame
+from acquisition.frame_files import SUFFIX, Samples, decode_frame
 from acquisition.journal import FrameRecorded, Stop, StopReason, read_journal
 from acquisition.plan import Plan
 
@@ -84,7 +82,7 @@ class Session:
         folder = self.path / CALIBRATION_FOLDER
         return folder if folder.is_dir() else None
 
-    def read_frame(self, frame_id: str) -> NDArray[np.generic]:
+    def read_frame(self, frame_id: str) -> Samples:
         """Sensor numbers of a frame.
 
         Returns

@@ -12,12 +12,9 @@ import time
 from pathlib import Path
 from types import TracebackType
 
-import numpy as np
-from numpy.typing import NDArray
-
 from acquisition.atomic_files import write_bytes
 from acquisition.errors import SessionError
-from acquisition.frame_files import encode_frame
+from acquisition.frame_files import Samples, encode_frame
 from acquisition.journal import (
     FrameRecorded,
     Start,
@@ -140,7 +137,7 @@ class SessionWriter:
     def record(
         self,
         frame_id: str,
-        image: NDArray[np.generic],
+        image: Samples,
         *,
         sequence: int,
         exposure_applied_s: float | None = None,

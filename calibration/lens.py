@@ -7,6 +7,7 @@ camera that emits: the same model, with the panel as the sensor.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -154,10 +155,11 @@ class Lens:
 
     def save(self, path: Path, *, rt_this_ref: NDArray[np.float64] | None = None) -> None:
         """Write a mrcal ``.cameramodel`` file; ``rt_this_ref`` is the lens's pose."""
-        pose = np.zeros(6) if rt_this_ref is None else np.asarray(rt_this_ref, dtype=np.float64)
+        pose = np.zeros(6) if rt_this_ref is None else np.array(rt_this_ref, dtype=np.float64)
         model = mrcal.cameramodel(
-            intrinsics=self._mrcal_lens, imagersize=(self.width, self.height), rt_cam_ref=pose
+            intrinsics=self._mrcal_lens, imagersize=np.array([self.width, self.height])
         )
+        _pose_accessor(model)(pose)
         model.write(str(path))
 
     @classmethod
@@ -179,11 +181,7 @@ class Lens:
             model = mrcal.cameramodel(str(path))
             name, intrinsics = model.intrinsics()
             width, height = model.imagersize()
-            pose = (
-                model.rt_cam_ref()
-                if hasattr(model, "rt_cam_ref")
-                else model.extrinsics_rt_fromref()
-            )
+            pose = _pose_accessor(model)()
         except Exception as error:  # mrcal raises bare Exceptions of its own
             raise CalibrationError(f"{path}: not a readable camera model ({error})") from error
         lens = cls(name, np.array(intrinsics, dtype=np.float64), int(width), int(height))
@@ -192,6 +190,11 @@ class Lens:
     @property
     def _mrcal_lens(self) -> tuple[str, NDArray[np.float64]]:
         return self.model, self.intrinsics
+
+
+def _pose_accessor(model: mrcal.cameramodel) -> Callable[..., NDArray[np.float64]]:
+    """The method that reads or sets a model's pose; mrcal 2.5 renamed it."""
+    return getattr(model, "rt_cam_ref", None) or model.extrinsics_rt_fromref
 
 
 def rt_from_matrix(

@@ -43,6 +43,9 @@ class CanvasOptions:
         Slope (tangent) at which the seed fill stops.
     sigmas : float
         Standard deviations of the slope's noise added to that.
+    spike_sigmas : float
+        Standard deviations, beyond what the neighbourhood's own roughness explains, at which a
+        single pixel is a spike and left out of the mask.
     erosion_px : int
         Pixels taken off the mask's outline.
     seed_window : float
@@ -55,6 +58,7 @@ class CanvasOptions:
 
     maximum_slope: float = 2.5
     sigmas: float = 4.0
+    spike_sigmas: float = 5.0
     erosion_px: int = 3
     seed_window: float = 0.2
     rectangle_fill: float = 0.85
@@ -117,6 +121,8 @@ def extract_canvas(range_image: RangeImage, options: CanvasOptions | None = None
             f"picture and {int(mask.sum())} are left after an erosion of {options.erosion_px} px; "
             "centre the painting in the picture, or raise the slope limit"
         )
+    centre, normal = _plane(range_image.points[mask])
+    mask &= ~_spikes(range_image, mask, centre, normal, options.spike_sigmas)
     points = range_image.points[mask]
     centre, normal = _plane(points)
     x_axis, kind = _in_plane_axis(points, centre, normal, options.rectangle_fill)
@@ -169,6 +175,22 @@ def _slope(
     sigma = np.zeros(valid.shape)
     sigma[valid] = np.sqrt(range_image.depth_variance[valid]) * ray_normal
     return gradient / (8 * spacing), sigma * np.sqrt(12) / (8 * spacing)
+
+
+def _spikes(
+    range_image: RangeImage,
+    mask: NDArray[np.bool_],
+    centre: NDArray[np.float64],
+    normal: NDArray[np.float64],
+    sigmas: float,
+) -> NDArray[np.bool_]:
+    """Pixels that stand off the median of their 5 × 5 neighbourhood by more than it explains."""
+    height = np.where(mask, (range_image.points - centre) @ normal, 0.0)
+    filled = _fill_from_nearest(height, mask).astype(np.float32)
+    off = np.abs(filled - cv2.medianBlur(filled, 5))
+    roughness = 1.4826 * cv2.medianBlur(off, 5)
+    sigma = np.sqrt(np.where(mask, range_image.depth_variance, 0.0))
+    return np.asarray(mask & (off > sigmas * np.hypot(sigma, roughness)))
 
 
 def _fill_from_nearest(

@@ -60,10 +60,11 @@ def accumulate_local_planes(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float32], NDArray[np.int32]]:
     """Sums for a weighted plane through the samples around every wanted texel.
 
-    ``x`` and ``y`` are in texels (column and row of the grid), the weight is a tent of the given
-    half-widths. Returns the moments (rows, cols, 9) of weight: 1, x, y, xx, xy, yy, z, xz, yz; the
-    moments (rows, cols, 6) of squared weight times variance: 1, x, y, xx, xy, yy; the distance to
-    the nearest sample in units of the half-widths; and the number of samples.
+    ``x`` and ``y`` are in texels (column and row of the grid), the weight is the inverse variance
+    under a tent of the given half-widths. Returns the moments (rows, cols, 9) of weight: 1, x, y,
+    xx, xy, yy, z, xz, yz; the moments (rows, cols, 6) of squared weight times variance: 1, x, y,
+    xx, xy, yy; the distance to the nearest sample in units of the half-widths; and the number of
+    samples.
     """
     rows, cols = wanted.shape
     moments = np.zeros((rows, cols, 9))
@@ -82,9 +83,10 @@ def accumulate_local_planes(
                 if not wanted[row, col]:
                     continue
                 dx = x[n] - col
-                weight = tent_y * (1.0 - abs(dx) / radius_x)
-                if weight <= 0.0:
+                tent = tent_y * (1.0 - abs(dx) / radius_x)
+                if tent <= 0.0:
                     continue
+                weight = tent / variance[n]
                 count[row, col] += 1
                 reach = max(abs(dx) / radius_x, abs(dy) / radius_y)
                 if reach < nearest[row, col]:
@@ -99,7 +101,7 @@ def accumulate_local_planes(
                 m[6] += weight * z[n]
                 m[7] += weight * dx * z[n]
                 m[8] += weight * dy * z[n]
-                squared = weight * weight * variance[n]
+                squared = weight * tent
                 v = noise[row, col]
                 v[0] += squared
                 v[1] += squared * dx

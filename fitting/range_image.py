@@ -220,10 +220,10 @@ def _repair_orders(
 ) -> NDArray[np.float64]:
     """Coordinates moved by the one combination of whole periods that the rig's geometry allows.
 
-    The order may be wrong by one, or by the whole panel where a coarse fringe of one period wrapped
-    at the panel's edge. A column fixes the depth and with it the row; a wrong order of either breaks that. A pixel
-    keeps its coordinates, and is rejected for them later, where no combination or more than one
-    fits.
+    The order may be wrong by one, or by the whole panel where a coarse fringe of one period
+    wrapped at the panel's edge. A column fixes the depth and with it the row; a wrong order of
+    either breaks that. A pixel keeps its coordinates, and is rejected for them later, where no
+    combination or more than one fits.
     """
     repaired = observed.copy()
     matches = np.zeros(len(rays), np.int32)

@@ -81,6 +81,7 @@ def classify_relief(field: HeightField, options: ReliefOptions | None = None) ->
 def _threshold(field: HeightField, options: ReliefOptions) -> tuple[float, NDArray[np.float32]]:
     """δ0, and heights averaged until their noise is small against it."""
     sigma = float(np.sqrt(np.median(field.variance[field.mask])))
+    precise = field.mask & (field.variance <= 4 * sigma**2)
     delta0, heights = 0.0, field.height
     for blur in (0.0, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0):  # Gaussian width in texels
         if blur > max(options.cell / 2, 1.0):
@@ -88,12 +89,12 @@ def _threshold(field: HeightField, options: ReliefOptions) -> tuple[float, NDArr
         # White noise of σ averaged by a Gaussian of width s keeps σ / (2 √π s).
         noise = sigma
         if blur > 0:
-            heights = _masked_blur(field.height, field.mask, blur)
+            heights = _precision_blur(field, blur)
             noise = sigma / (2 * np.sqrt(np.pi) * blur)
         delta0 = (
             options.delta0_mm
             if options.delta0_mm is not None
-            else (options.delta0_share * max(_highest(heights[field.mask]), 0.0))
+            else (options.delta0_share * max(_highest(heights[precise]), 0.0))
         )
         if noise <= options.noise_share * abs(delta0):
             break
@@ -105,13 +106,14 @@ def _highest(measured: NDArray[np.float32]) -> float:
     return float(np.quantile(measured, 0.9995) if measured.size > 2000 else measured.max())
 
 
-def _masked_blur(
-    height: NDArray[np.float32], mask: NDArray[np.bool_], sigma: float
-) -> NDArray[np.float32]:
-    inside = mask.astype(np.float32)
-    total = cv2.GaussianBlur(height * inside, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
-    weight = cv2.GaussianBlur(inside, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(total / np.maximum(weight, 1e-6), dtype=np.float32)
+def _precision_blur(field: HeightField, sigma: float) -> NDArray[np.float32]:
+    """Heights averaged by a Gaussian of ``sigma`` texels, weighted by their precision."""
+    typical = max(float(np.median(field.variance[field.mask])), 1e-12)
+    weight = np.where(field.mask, typical / np.maximum(field.variance, 1e-3 * typical), 0.0)
+    weight = weight.astype(np.float32)
+    total = cv2.GaussianBlur(field.height * weight, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
+    norm = cv2.GaussianBlur(weight, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(total / np.maximum(norm, 1e-9), dtype=np.float32)
 
 
 def _boxes(

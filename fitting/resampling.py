@@ -1,11 +1,11 @@
 """From range points to the regular height field, with the right footprint.
 
 Around each texel a plane is fitted to the samples under a tent whose half-width is the texel
-pitch or the spacing of the samples, whichever is larger. On samples that lie on the grid's own
-spacing this is bilinear interpolation; on denser samples it averages them, so that nothing
-aliases; in both cases the height is a linear combination of the samples, and its variance follows
-exactly. Where the samples lie too far apart for that, the tent is twice as wide; texels with no
-sample within it stay gaps.
+pitch or the spacing of the samples, whichever is larger, weighted by the samples' precision. On
+equally precise samples that lie on the grid's own spacing this is bilinear interpolation; on
+denser samples it averages them, so that nothing aliases; in both cases the height is a linear
+combination of the samples, and its variance follows exactly. Where the samples lie too far apart
+for that, the tent is twice as wide; texels with no sample within it stay gaps.
 """
 
 from __future__ import annotations
@@ -56,6 +56,9 @@ def resample_heights(
         raise FittingError(f"the pitch must be positive, not {pitch_mm} mm")
     local = transform(invert(canvas.rt_cam_canvas), range_image.points[canvas.mask])
     variance = height_variance(range_image, canvas)[canvas.mask]
+    # In units of the median the sums below are of order one, whatever the units of length.
+    unit = float(np.median(variance))
+    variance = np.maximum(variance / unit, 1e-6) if unit > 0 else np.ones_like(variance)
     low, high = local[:, :2].min(axis=0), local[:, :2].max(axis=0)
     cols, rows = np.maximum(1, np.floor((high - low) / pitch).astype(int))
     if max(rows, cols) > _LARGEST_SIDE:
@@ -89,7 +92,7 @@ def resample_heights(
     return HeightField(
         height.astype(np.float32),
         mask,
-        texel_variance.astype(np.float32),
+        (texel_variance * unit).astype(np.float32),
         pitch,
         (float(x0), float(y0)),
         canvas.rt_cam_canvas,
@@ -140,7 +143,7 @@ def _solve_planes(
     cofactor_c = sx * sxy - sxx * sy
     determinant = s * cofactor_a + sx * cofactor_b + sy * cofactor_c
     scale = np.maximum(s, 1e-30)
-    # Relative to the weight, the determinant is the spread of the samples in texels to the fourth.
+    # Over the cube of the weight, it is the spread of the samples in texels to the fourth.
     determined = determinant > 1e-4 * scale**3
     safe = np.where(determined, determinant, 1.0)
     a, b, c = cofactor_a / safe, cofactor_b / safe, cofactor_c / safe

@@ -1,0 +1,182 @@
+"""The digital copy on disk: a folder of one JSON file and OpenEXR maps.
+
+``copy.json`` holds size, pose, relief parameters, boxes and provenance; ``relief.exr`` height, n_x,
+n_y and the mask; ``uncertainty.exr`` the standard errors of height and slope; ``diffuse.exr``,
+``specular.exr`` and ``lobe.exr`` the reflectance, where it was measured. See
+``docs/file-formats.md``.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+from numpy.typing import NDArray
+
+from acquisition.atomic_files import folder_in_progress
+from fitting.digital_copy import DigitalCopy, ReflectanceMaps
+from fitting.errors import CopyError, FittingError
+from fitting.height_field import HeightField
+from fitting.relief import Relief, ReliefBoxes
+
+FORMAT = "impasto-copy-1"
+COPY_FILE = "copy.json"
+_REFLECTANCE = {"diffuse": "RGB", "specular": "RGB", "lobe": "CXYK"}
+
+
+def write_copy(copy: DigitalCopy, path: Path, *, replace: bool = False) -> None:
+    """Write a digital copy, whole or not at all.
+
+    Parameters
+    ----------
+    copy : DigitalCopy
+    path : Path
+        Folder to make.
+    replace : bool
+        Whether a copy that is there already is replaced.
+
+    Raises
+    ------
+    CopyError
+        ``path`` exists and is not to be replaced, or is no copy.
+    """
+    path = Path(path)
+    if path.exists() and not (replace and (path / COPY_FILE).is_file()):
+        raise CopyError(f"{path} exists already; choose another place, or remove it first")
+    field = copy.height_field
+    with folder_in_progress(path, replace=replace) as folder:
+        relief: dict[str, NDArray[Any]] = {
+            "height": field.height,
+            "nx": copy.normal_xy[..., 0].astype(np.float16),
+            "ny": copy.normal_xy[..., 1].astype(np.float16),
+            "mask": field.mask.astype(np.float16),
+            "significant": copy.relief.significant.astype(np.float16),
+        }
+        _write_exr(folder / "relief.exr", relief)
+        sigma = {"height": np.sqrt(field.variance), "slope": copy.slope_sigma}
+        _write_exr(folder / "uncertainty.exr", {k: v.astype(np.float16) for k, v in sigma.items()})
+        if copy.reflectance is not None:
+            for name, channels in _REFLECTANCE.items():
+                array = getattr(copy.reflectance, name).astype(np.float16)
+                _write_exr(
+                    folder / f"{name}.exr", {c: array[..., i] for i, c in enumerate(channels)}
+                )
+        (folder / COPY_FILE).write_text(json.dumps(_header(copy), indent=1, allow_nan=False))
+
+
+def read_copy(path: Path) -> DigitalCopy:
+    """Read what :func:`write_copy` wrote.
+
+    Raises
+    ------
+    CopyError
+        A file is missing or damaged, shapes disagree, or a measured value is not finite.
+    """
+    path = Path(path)
+    header = _read_header(path / COPY_FILE)
+    relief = _read_exr(path / "relief.exr", ("height", "nx", "ny", "mask", "significant"))
+    sigma = _read_exr(path / "uncertainty.exr", ("height", "slope"))
+    try:
+        boxes = header["boxes"]
+        count = len(boxes["h_max"])
+        field = HeightField(
+            relief["height"].astype(np.float32),
+            relief["mask"] > 0.5,
+            sigma["height"].astype(np.float32) ** 2,
+            float(header["pitch_mm"]),
+            (float(header["origin_mm"][0]), float(header["origin_mm"][1])),
+            np.array(header["rt_cam_canvas"], dtype=np.float64),
+        )
+        return DigitalCopy(
+            field,
+            np.stack([relief["nx"], relief["ny"]], axis=-1).astype(np.float32),
+            Relief(
+                float(header["delta0_mm"]),
+                int(header["cell"]),
+                relief["significant"] > 0.5,
+                ReliefBoxes(
+                    np.array(boxes["corner"], np.int32).reshape(count, 2),
+                    np.array(boxes["size"], np.int32).reshape(count, 2),
+                    np.array(boxes["h_max"], np.float32),
+                    np.array(boxes["peak"], np.int32).reshape(count, 2),
+                ),
+            ),
+            sigma["slope"].astype(np.float32),
+            _read_reflectance(path) if header["reflectance"] else None,
+            header["provenance"],
+        )
+    except FittingError as error:
+        raise CopyError(f"{path}: {error}") from None
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise CopyError(f"{path / COPY_FILE}: {type(error).__name__} at {error}") from None
+
+
+def _header(copy: DigitalCopy) -> dict[str, Any]:
+    field, relief = copy.height_field, copy.relief
+    return {
+        "format": FORMAT,
+        "units": {"length": "mm", "angle": "rad", "reflectance": "1/sr"},
+        "size_mm": list(field.size_mm),
+        "shape": list(field.shape),
+        "pitch_mm": field.pitch_mm,
+        "origin_mm": list(field.origin_mm),
+        "rt_cam_canvas": field.rt_cam_canvas.tolist(),
+        "delta0_mm": relief.delta0_mm,
+        "H_mm": field.height_range_mm[1],
+        "cell": relief.cell,
+        "boxes": {
+            "corner": relief.boxes.corner.tolist(),
+            "size": relief.boxes.size.tolist(),
+            "h_max": relief.boxes.h_max.astype(float).tolist(),
+            "peak": relief.boxes.peak.tolist(),
+        },
+        "reflectance": copy.reflectance is not None,
+        "provenance": copy.provenance,
+    }
+
+
+def _read_header(path: Path) -> dict[str, Any]:
+    try:
+        header = json.loads(path.read_text())
+    except FileNotFoundError:
+        raise CopyError(f"{path} is missing: this is not a digital copy") from None
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise CopyError(f"{path}: not JSON ({error})") from None
+    found = header.get("format") if isinstance(header, dict) else None
+    if found != FORMAT:
+        raise CopyError(f"{path}: format {found!r}, this version reads {FORMAT!r}")
+    return dict(header)
+
+
+def _read_reflectance(path: Path) -> ReflectanceMaps:
+    maps = {}
+    for name, channels in _REFLECTANCE.items():
+        layers = _read_exr(path / f"{name}.exr", tuple(channels))
+        maps[name] = np.stack([layers[c] for c in channels], axis=-1).astype(np.float32)
+    return ReflectanceMaps(**maps)
+
+
+def _write_exr(path: Path, channels: dict[str, NDArray[Any]]) -> None:
+    # ZIP compression: a flipped bit fails its checksum instead of passing for a height.
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    layers = {name: np.ascontiguousarray(values) for name, values in channels.items()}
+    OpenEXR.File(header, layers).write(str(path))
+
+
+def _read_exr(path: Path, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
+    if not path.is_file():
+        raise CopyError(f"{path} is missing: the copy is not whole")
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            channels = file.channels()
+            layers = {name: np.array(channels[name].pixels) for name in names}
+    except KeyError as error:
+        raise CopyError(f"{path}: no channel {error}") from None
+    except Exception as error:  # the binding raises RuntimeError and others of its own
+        raise CopyError(f"{path}: truncated or damaged ({error})") from None
+    if len({layer.shape for layer in layers.values()}) != 1:
+        raise CopyError(f"{path}: channels of different sizes")
+    return layers

@@ -1,0 +1,66 @@
+"""``impasto import``: a foreign capture becomes a session."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated
+
+import typer
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("import")(import_capture)
+
+
+def import_capture(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the captured files.")],
+    capture: Annotated[
+        Path, typer.Option(help="Description of the files (see docs/file-formats.md).")
+    ],
+    out: Annotated[Path, typer.Option(metavar="SESSION", help="Session folder to make.")],
+    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write figures here.")] = None,
+) -> None:
+    """Import a scan made by other software as a session.
+
+    Example:
+
+        impasto import photos/ --capture capture.toml --out session/
+    """
+    from acquisition.atomic_files import folder_in_progress
+    from acquisition.errors import SessionError
+    from acquisition.foreign_capture import find_capture, read_description, record_capture
+    from acquisition.session import Session
+    from calibration.opencv_files import read_rig_geometry
+    from workstation.json_output import write_json
+    from workstation.progress import progress
+
+    description = read_description(capture)
+    found = find_capture(folder, description)
+    rig = None
+    if description.calibration is not None:
+        rig = read_rig_geometry(
+            folder / description.calibration.file,
+            description.calibration,
+            camera=description.camera,
+            projector=description.projector,
+        )
+    if out.exists():
+        raise SessionError(f"{out} exists already; choose another place, or remove it first")
+    with (
+        progress(f"importing {description.name}", total=len(found.files)) as steps,
+        folder_in_progress(out) as folder_being_made,
+        TemporaryDirectory() as stage,
+    ):
+        if rig is not None:
+            rig.save(Path(stage))
+        record_capture(
+            found,
+            folder_being_made,
+            calibration=Path(stage) if rig is not None else None,
+            advance=lambda _: steps.advance(),
+        )
+    session = Session.open(out)
+    typer.echo(f"{out}: {len(session.plan.frames)} frames")
+    write_json(json, {"frames": len(session.plan.frames), "digest": session.digest})

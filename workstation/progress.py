@@ -1,0 +1,55 @@
+"""Progress on stderr: a bar with the time left, or plain lines where stderr is no terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    SpinnerColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+
+class Steps:
+    """Counts the steps of one long job."""
+
+    def __init__(self, progress: Progress, title: str, total: int) -> None:
+        self._progress = progress
+        self._title = title
+        self._task = progress.add_task(title, total=total)
+
+    def begin(self, step: str) -> None:
+        """Say what is being done now."""
+        self._progress.update(self._task, description=f"{self._title}: {step}")
+        if not self._progress.console.is_terminal:
+            self._progress.console.print(f"{self._title}: {step}", highlight=False)
+
+    def advance(self) -> None:
+        """One step is done."""
+        self._progress.advance(self._task)
+
+
+@contextmanager
+def progress(title: str, *, total: int) -> Iterator[Steps]:
+    """Show the progress of ``total`` steps while the block runs."""
+    console = Console(stderr=True, highlight=False)
+    bar = Progress(
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    )
+    with bar:
+        yield Steps(bar, title, total)
