@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 @njit(inline="always")
 def _height(z: NDArray[np.float64], col: float, row: float) -> float:
     rows, cols = z.shape
-    c = min(max(int(math.floor(col)), 0), cols - 2)
-    r = min(max(int(math.floor(row)), 0), rows - 2)
+    c = min(max(math.floor(col), 0), cols - 2)
+    r = min(max(math.floor(row), 0), rows - 2)
     u = min(max(col - c, 0.0), 1.0)
     v = min(max(row - r, 0.0), 1.0)
     top = (1 - u) * z[r, c] + u * z[r, c + 1]
@@ -104,3 +104,25 @@ def lit_from(
                 break
             t += step
     return lit
+
+
+@njit(parallel=True, cache=True)
+def look_up(picture: NDArray[np.float32], at: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Picture values at (n, 2) columns and rows, bilinear, 0 outside.
+
+    OpenCV's remap rounds coordinates to a 32nd of a pixel, which decoding would see.
+    """
+    rows, cols = picture.shape
+    found = np.zeros(len(at))
+    for n in prange(len(at)):
+        col, row = at[n]
+        if col < -0.5 or row < -0.5 or col > cols - 0.5 or row > rows - 0.5:
+            continue
+        c = min(max(math.floor(col), 0), cols - 2)
+        r = min(max(math.floor(row), 0), rows - 2)
+        u = min(max(col - c, 0.0), 1.0)
+        v = min(max(row - r, 0.0), 1.0)
+        top = (1 - u) * picture[r, c] + u * picture[r, c + 1]
+        bottom = (1 - u) * picture[r + 1, c] + u * picture[r + 1, c + 1]
+        found[n] = (1 - v) * top + v * bottom
+    return found

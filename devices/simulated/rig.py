@@ -17,7 +17,7 @@ from devices.errors import DeviceError
 from devices.interfaces import Frame
 from devices.simulated.optics import SimulatedLens
 from devices.simulated.painting import Painting, paint_small_oil
-from devices.simulated.ray_kernels import cast_rays, lit_from
+from devices.simulated.ray_kernels import cast_rays, lit_from, look_up
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +118,6 @@ class SimulatedRig:
         self._gamma = gamma
         self._black = black
         self._shown = np.zeros((projector_lens.height, projector_lens.width), np.float32)
-        self._maps = self.truth.panel.astype(np.float32)
         self.camera = SimulatedCamera(self)
         self.projector = SimulatedProjector(self)
 
@@ -126,19 +125,13 @@ class SimulatedRig:
         """Put a picture on the projector's panel."""
         level = (image.astype(np.float32) / 255) ** self._gamma
         if self._blur_px > 0:
-            level = cv2.GaussianBlur(level, (0, 0), self._blur_px)
-        self._shown = self._black + (1 - self._black) * level
+            level = cv2.GaussianBlur(level, (0, 0), self._blur_px).astype(np.float32)
+        self._shown = np.float32(self._black) + np.float32(1 - self._black) * level
 
     def electrons(self, exposure_s: float) -> NDArray[np.float64]:
         """Expected electrons of every camera pixel (rows, cols) under what is shown now."""
-        light = cv2.remap(
-            self._shown,
-            self._maps[..., 0],
-            self._maps[..., 1],
-            cv2.INTER_CUBIC,
-            borderMode=cv2.BORDER_CONSTANT,
-            borderValue=0,
-        )
+        light = look_up(self._shown, self.truth.panel.reshape(-1, 2))
+        light = light.reshape(self.truth.shading.shape)
         # A second of full light on white paper fills the well twentyfold.
         scale = 20 * self.sensor.full_well_e * exposure_s
         return np.asarray(np.maximum(light, 0.0) * self.truth.shading * scale)
@@ -233,7 +226,7 @@ def demo_rig(*, seed: int = 0, camera_width: int = 800) -> SimulatedRig:
     projector = SimulatedLens.looking_at(
         width=912,
         height=570,
-        focal_px=1900.0,
+        focal_px=1750.0,
         position=(170.0, 25.0, 430.0),
         target=(0.0, 0.0, 0.0),
         distortion=(-0.05, 0.03, -5e-4, 2e-4, 0.0),
@@ -279,15 +272,15 @@ def _surface_at(
     """Unit normals (n, 3) and albedo (n,) at surface points."""
     rows, cols = painting.height.shape
     slope_y, slope_x = np.gradient(painting.height, painting.pitch_mm)
-    col = (points[:, 0] / painting.pitch_mm + (cols - 1) / 2).astype(np.float32)
-    row = ((rows - 1) / 2 - points[:, 1] / painting.pitch_mm).astype(np.float32)
-
-    def look_up(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        # OpenCV remaps at most 32767 columns, so the list of points is folded.
-        fold = -(-len(col) // 4096) * 4096
-        at = [np.resize(c, fold).reshape(-1, 4096) for c in (col, row)]
-        found = cv2.remap(values.astype(np.float32), at[0], at[1], cv2.INTER_LINEAR)
-        return found.ravel()[: len(col)].astype(np.float64)
-
-    normal = np.stack([-look_up(slope_x), look_up(slope_y), np.ones(len(col))], axis=1)
-    return normal / np.linalg.norm(normal, axis=1, keepdims=True), look_up(painting.albedo)
+    at = np.stack(
+        [
+            points[:, 0] / painting.pitch_mm + (cols - 1) / 2,
+            (rows - 1) / 2 - points[:, 1] / painting.pitch_mm,
+        ],
+        axis=1,
+    )
+    # Rows run down, so the gradient along them is minus the slope along Y.
+    slope = [look_up(g.astype(np.float32), at) for g in (slope_x, -slope_y)]
+    normal = np.stack([-slope[0], -slope[1], np.ones(len(at))], axis=1)
+    albedo = look_up(painting.albedo.astype(np.float32), at)
+    return normal / np.linalg.norm(normal, axis=1, keepdims=True), albedo
