@@ -1,0 +1,198 @@
+"""Pictures of digital copies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.digital_copy import DigitalCopy
+from render.adaptive import AdaptiveOptions
+from render.errors import RenderError
+from render.opengl import HeadlessContext, pyrender
+from render.painting_node import Mode, painting_mesh
+from render.painting_renderer import PaintingRenderer
+from render.views import View, direction
+
+BACKGROUND = (0.18, 0.18, 0.18)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Light:
+    """A point light on the canvas's middle.
+
+    At ``distance_mm`` it gives the irradiance π · ``strength`` at the middle of the canvas for
+    normal incidence, so that white paint facing it has the radiance ``strength``.
+
+    Attributes
+    ----------
+    azimuth, elevation : float
+        Radians, as for views.
+    distance_mm : float or None
+        None takes five times the larger side of the canvas.
+    strength : float
+    ambient : float
+        Radiance of the surroundings, the same from everywhere.
+    """
+
+    azimuth: float = float(np.deg2rad(135.0))
+    elevation: float = float(np.deg2rad(32.0))
+    distance_mm: float | None = None
+    strength: float = 1.0
+    ambient: float = 0.06
+
+
+@dataclass(frozen=True)
+class RenderedImage:
+    """A linear picture.
+
+    Attributes
+    ----------
+    radiance : (rows, cols, 3) float32 array
+        Linear RGB.
+    coverage : (rows, cols) float32 array
+        Share of each pixel that anything of the scene covers.
+    depth_mm : (rows, cols) float32 array
+        Distance along the camera's axis at the pixel's centre; 0 where nothing is.
+    """
+
+    radiance: NDArray[np.float32]
+    coverage: NDArray[np.float32]
+    depth_mm: NDArray[np.float32]
+
+    def encoded(self, *, exposure: float = 1.0) -> NDArray[np.uint8]:
+        """(rows, cols, 3) uint8 sRGB."""
+        linear = np.clip(self.radiance * exposure, 0.0, 1.0)
+        low = 12.92 * linear
+        high = 1.055 * np.power(np.maximum(linear, 0.0031308), 1 / 2.4) - 0.055
+        return np.asarray(np.round(255 * np.where(linear <= 0.0031308, low, high)), dtype=np.uint8)
+
+
+class Painter:
+    """Keeps an OpenGL context over many pictures; a context manager.
+
+    Parameters
+    ----------
+    supersampling : int
+        Samples per pixel along each axis.
+
+    Raises
+    ------
+    RenderError
+        No usable OpenGL.
+    """
+
+    def __init__(self, *, supersampling: int = 2) -> None:
+        if supersampling < 1:
+            raise RenderError(f"at least one sample per pixel is needed, not {supersampling}")
+        self._supersampling = supersampling
+        self._context = HeadlessContext()
+        self._renderer = PaintingRenderer(1, 1)
+
+    def paint(
+        self,
+        copy: DigitalCopy,
+        view: View,
+        *,
+        mode: Mode = Mode.ADAPTIVE,
+        width: int = 1024,
+        height: int = 768,
+        light: Light | None = None,
+        adaptive: AdaptiveOptions | None = None,
+    ) -> RenderedImage:
+        """Draw one copy on its own.
+
+        Parameters
+        ----------
+        copy : DigitalCopy
+        view : View
+        mode : Mode
+        width, height : int
+            Of the picture in pixels.
+        light : Light, optional
+        adaptive : AdaptiveOptions, optional
+            For :attr:`Mode.ADAPTIVE`.
+
+        Returns
+        -------
+        RenderedImage
+        """
+        scene = painting_scene(copy, view, mode, light or Light(), adaptive, width / height)
+        return self.paint_scene(scene, width=width, height=height)
+
+    def paint_scene(self, scene: pyrender.Scene, *, width: int, height: int) -> RenderedImage:
+        """Draw any pyrender scene, paintings among its nodes; units are mm.
+
+        Raises
+        ------
+        RenderError
+            A size that OpenGL cannot draw.
+        """
+        n = self._supersampling
+        if not (0 < width * n <= 16384 and 0 < height * n <= 16384):
+            raise RenderError(f"a picture of {width}×{height} cannot be drawn")
+        self._context.make_current()
+        self._renderer.viewport_width, self._renderer.viewport_height = width * n, height * n
+        rgba, depth = self._renderer.render(scene, pyrender.RenderFlags.OFFSCREEN)
+        fine = rgba.reshape(height, n, width, n, 4).astype(np.float64).mean(axis=(1, 3))
+        if not np.isfinite(fine).all():
+            raise RenderError("the picture has values that are not finite; check the copy's maps")
+        return RenderedImage(
+            fine[..., :3].astype(np.float32),
+            fine[..., 3].astype(np.float32),
+            np.ascontiguousarray(depth[n // 2 :: n, n // 2 :: n]),
+        )
+
+    def close(self) -> None:
+        """Free the OpenGL context."""
+        self._context.make_current()
+        self._renderer.delete()
+        self._context.close()
+
+    def __enter__(self) -> Painter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def painting_scene(
+    copy: DigitalCopy,
+    view: View,
+    mode: Mode,
+    light: Light,
+    adaptive: AdaptiveOptions | None,
+    aspect: float,
+) -> pyrender.Scene:
+    """A scene of one copy, its camera and its light, in the canvas frame."""
+    scene = pyrender.Scene(bg_color=[*BACKGROUND, 0.0], ambient_light=[light.ambient] * 3)
+    scene.add(painting_mesh(copy, mode, adaptive=adaptive))
+    extent = float(np.hypot(*copy.height_field.size_mm)) + sum(
+        abs(h) for h in copy.height_field.height_range_mm
+    )
+    nearest = _nearest(copy, view)
+    camera = pyrender.PerspectiveCamera(
+        yfov=view.field_of_view,
+        aspectRatio=aspect,
+        znear=max(1e-4 * view.distance_mm, 0.2 * nearest),
+        zfar=view.distance_mm + extent,
+    )
+    scene.add(camera, pose=view.pose())
+    away = light.distance_mm or 5 * max(copy.height_field.size_mm)
+    pose = np.eye(4)
+    pose[:3, 3] = away * direction(light.azimuth, light.elevation)
+    intensity = np.pi * light.strength * away**2
+    scene.add(pyrender.PointLight(color=[1.0, 1.0, 1.0], intensity=intensity), pose=pose)
+    return scene
+
+
+def _nearest(copy: DigitalCopy, view: View) -> float:
+    """Distance from the camera to the box around the copy, at least a hair."""
+    width, height = copy.height_field.size_mm
+    low, high = copy.height_field.height_range_mm
+    x0, y0 = copy.height_field.origin_mm
+    box_low = np.array([x0, y0 - height, min(low, copy.relief.delta0_mm)])
+    box_high = np.array([x0 + width, y0, max(high, copy.relief.delta0_mm)])
+    gap = np.maximum(0.0, np.maximum(box_low - view.position, view.position - box_high))
+    return float(np.linalg.norm(gap))

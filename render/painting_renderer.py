@@ -1,0 +1,94 @@
+"""A pyrender renderer that knows paintings, and draws into floating point."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from render.opengl import GL, pyrender
+from render.painting_node import PaintingPrimitive
+from render.shader_program import PaintingProgram
+
+
+class PaintingRenderer(pyrender.renderer.Renderer):  # type: ignore[misc]
+    """pyrender's renderer with a linear float framebuffer and the painting's own programs.
+
+    Anything else in the scene is drawn by pyrender as ever, into the same depth buffer.
+    """
+
+    def __init__(self, viewport_width: int, viewport_height: int) -> None:
+        super().__init__(viewport_width, viewport_height)
+        self._painting_programs: dict[tuple[str, str], PaintingProgram] = {}
+
+    def delete(self) -> None:
+        """Free everything in the OpenGL context."""
+        for program in self._painting_programs.values():
+            program.delete()
+        self._painting_programs = {}
+        super().delete()
+
+    def _get_primitive_program(self, primitive: Any, flags: int, program_flags: int) -> Any:
+        if not isinstance(primitive, PaintingPrimitive):
+            return super()._get_primitive_program(primitive, flags, program_flags)
+        if primitive.shaders not in self._painting_programs:
+            self._painting_programs[primitive.shaders] = PaintingProgram(*primitive.shaders)
+        return self._painting_programs[primitive.shaders]
+
+    def _bind_lighting(self, scene: Any, program: Any, node: Any, flags: int) -> None:
+        self._camera_position = scene.get_pose(scene.main_camera_node)[:3, 3]
+        super()._bind_lighting(scene, program, node, flags)
+
+    def _bind_and_draw_primitive(self, primitive: Any, pose: Any, program: Any, flags: int) -> None:
+        if not isinstance(primitive, PaintingPrimitive):
+            super()._bind_and_draw_primitive(primitive, pose, program, flags)
+            return
+        program.set_uniform("M", pose)
+        for name, value in primitive.material.uniforms.items():
+            program.set_uniform(name, value)
+        for name, texture in primitive.material.maps.items():
+            self._bind_texture(texture, name, program)
+        primitive.draw(program, pose[:3, :3].T @ (self._camera_position - pose[:3, 3]))
+
+    def _configure_main_framebuffer(self) -> None:
+        size = (self.viewport_width, self.viewport_height)
+        if self._main_fb is not None and self._main_fb_dims == size:
+            return
+        self._delete_main_framebuffer()
+        self._main_fb = GL.glGenFramebuffers(1)
+        self._main_cb, self._main_db = GL.glGenRenderbuffers(2)
+        GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self._main_fb)
+        for buffer, stored, attachment in (
+            (self._main_cb, GL.GL_RGBA32F, GL.GL_COLOR_ATTACHMENT0),
+            (self._main_db, GL.GL_DEPTH_COMPONENT32F, GL.GL_DEPTH_ATTACHMENT),
+        ):
+            GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, buffer)
+            GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, stored, *size)
+            GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, attachment, GL.GL_RENDERBUFFER, buffer)
+        # The forward pass draws into what it takes for the multisampled buffer.
+        self._main_fb_ms = self._main_fb
+        self._main_fb_dims = size
+
+    def _delete_main_framebuffer(self) -> None:
+        if self._main_fb is not None:
+            GL.glDeleteFramebuffers(1, [self._main_fb])
+            GL.glDeleteRenderbuffers(2, [self._main_cb, self._main_db])
+        self._main_fb = self._main_fb_ms = self._main_cb = self._main_db = None
+        self._main_fb_dims = (None, None)
+
+    def _read_main_framebuffer(
+        self, scene: Any, flags: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Linear RGBA (rows, cols, 4), and depth in scene units (rows, cols), 0 where empty."""
+        width, height = self._main_fb_dims
+        GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, self._main_fb)
+        GL.glPixelStorei(GL.GL_PACK_ALIGNMENT, 4)
+        color = GL.glReadPixels(0, 0, width, height, GL.GL_RGBA, GL.GL_FLOAT)
+        stored = GL.glReadPixels(0, 0, width, height, GL.GL_DEPTH_COMPONENT, GL.GL_FLOAT)
+        rgba = np.frombuffer(color, np.float32).reshape(height, width, 4)[::-1]
+        z = np.frombuffer(stored, np.float32).reshape(height, width)[::-1].astype(np.float64)
+        camera = scene.main_camera_node.camera
+        near, far = camera.znear, camera.zfar
+        depth = near * far / (far - z * (far - near))
+        return rgba.copy(), np.where(z < 1.0, depth, 0.0).astype(np.float32)
