@@ -56,8 +56,8 @@ class CanvasOptions:
         and Y.
     """
 
-    maximum_slope: float = 2.5
-    sigmas: float = 4.0
+    maximum_slope: float = 2.0
+    sigmas: float = 2.0
     spike_sigmas: float = 5.0
     erosion_px: int = 3
     seed_window: float = 0.2

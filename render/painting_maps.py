@@ -16,7 +16,7 @@ LARGEST_SIDE = 16384
 _BY_CHANNELS = {3: (GL.GL_RGB32F, GL.GL_RGB), 4: (GL.GL_RGBA32F, GL.GL_RGBA)}
 
 
-class FloatTexture(pyrender.Texture):  # type: ignore[misc]
+class FloatTexture(pyrender.Texture):
     """A texture of 32-bit floats; pyrender's own wraps floats into bytes."""
 
     def __init__(self, name: str, values: NDArray[np.float32]) -> None:
@@ -47,7 +47,7 @@ class FloatTexture(pyrender.Texture):  # type: ignore[misc]
             GL.glTexParameteri(GL.GL_TEXTURE_2D, parameter, value)
 
 
-class PaintingMaterial(pyrender.Material):  # type: ignore[misc]
+class PaintingMaterial(pyrender.Material):
     """The maps of a copy, and what else its shaders need."""
 
     def __init__(self, copy: DigitalCopy) -> None:

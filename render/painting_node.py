@@ -26,7 +26,7 @@ class Mode(StrEnum):
     ADAPTIVE = "adaptive"
 
 
-class PaintingPrimitive(pyrender.Primitive):  # type: ignore[misc]
+class PaintingPrimitive(pyrender.Primitive):
     """Triangles drawn with the painting's own shaders.
 
     Parameters

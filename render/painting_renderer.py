@@ -12,11 +12,14 @@ from render.painting_node import PaintingPrimitive
 from render.shader_program import PaintingProgram
 
 
-class PaintingRenderer(pyrender.renderer.Renderer):  # type: ignore[misc]
+class PaintingRenderer(pyrender.renderer.Renderer):
     """pyrender's renderer with a linear float framebuffer and the painting's own programs.
 
     Anything else in the scene is drawn by pyrender as ever, into the same depth buffer.
     """
+
+    _main_fb: Any
+    _main_fb_dims: Any
 
     def __init__(self, viewport_width: int, viewport_height: int) -> None:
         super().__init__(viewport_width, viewport_height)

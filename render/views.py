@@ -133,7 +133,7 @@ def parse_view(
     RenderError
         Neither.
     """
-    if text in NamedView:
+    if text in list(NamedView):
         return named_view(copy, NamedView(text), aspect=aspect, field_of_view=field_of_view)
     numbers = parse_numbers(text, 3)
     if numbers is None:

@@ -1,0 +1,67 @@
+"""Rendered pictures as files: PNG for people, OpenEXR for measurements, and contact sheets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import OpenEXR
+from numpy.typing import NDArray
+
+from acquisition.atomic_files import file_in_progress
+from render.errors import RenderError
+from render.painter import RenderedImage
+
+
+def write_picture(picture: RenderedImage, path: Path, *, exposure: float = 1.0) -> None:
+    """Write a picture: sRGB as PNG, or linear radiance, coverage and depth as OpenEXR.
+
+    Raises
+    ------
+    RenderError
+        Another suffix.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".png":
+        with file_in_progress(path) as temporary:
+            _write_png(temporary, picture.encoded(exposure=exposure))
+    elif path.suffix.lower() == ".exr":
+        channels = {name: picture.radiance[..., i] for i, name in enumerate("RGB")}
+        channels |= {"A": picture.coverage, "Z": picture.depth_mm}
+        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+        with file_in_progress(path) as temporary:
+            layers = {name: np.ascontiguousarray(layer) for name, layer in channels.items()}
+            OpenEXR.File(header, layers).write(str(temporary))
+    else:
+        raise RenderError(f"{path}: pictures are written as .png or .exr")
+
+
+def write_contact_sheet(
+    pictures: list[list[NDArray[np.uint8]]], rows: list[str], columns: list[str], path: Path
+) -> None:
+    """Write a labelled table of pictures, each (height, width, 3) uint8 sRGB of one size."""
+    band, margin = 28, 90
+    height, width = pictures[0][0].shape[:2]
+    sheet = np.full(
+        (band + len(rows) * (height + 4), margin + len(columns) * (width + 4), 3), 245, np.uint8
+    )
+    for r, line in enumerate(pictures):
+        for c, picture in enumerate(line):
+            top, left = band + r * (height + 4), margin + c * (width + 4)
+            sheet[top : top + height, left : left + width] = picture
+    ink, font = (30, 30, 30), cv2.FONT_HERSHEY_SIMPLEX
+    for r, label in enumerate(rows):
+        at = (6, band + r * (height + 4) + height // 2)
+        cv2.putText(sheet, label, at, font, 0.5, ink, 1, cv2.LINE_AA)
+    for c, label in enumerate(columns):
+        cv2.putText(
+            sheet, label, (margin + c * (width + 4) + 6, 19), font, 0.5, ink, 1, cv2.LINE_AA
+        )
+    with file_in_progress(Path(path)) as temporary:
+        _write_png(temporary, sheet)
+
+
+def _write_png(path: Path, image: NDArray[np.uint8]) -> None:
+    if not cv2.imwrite(str(path), np.ascontiguousarray(image[..., ::-1])):
+        raise RenderError(f"{path.parent}: the picture cannot be written")

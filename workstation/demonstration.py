@@ -1,0 +1,103 @@
+"""The demo: a simulated painting is scanned, processed, and held against what it truly is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from acquisition.scan import plan_scan, scan
+from acquisition.session_writer import SessionWriter
+from calibration.lens import Lens, compose, invert, rt_from_matrix, transform
+from calibration.rig_geometry import RigGeometry
+from devices.simulated.optics import SimulatedLens
+from devices.simulated.rig import SimulatedRig
+from fitting.digital_copy import DigitalCopy
+
+EXPOSURE_S = 0.045
+
+
+@dataclass(frozen=True)
+class HeightError:
+    """Errors of a copy's heights against the truth, mm.
+
+    Attributes
+    ----------
+    observed_rms_mm : float
+        RMS of height minus truth.
+    predicted_rms_mm : float
+        RMS of the standard errors carried along.
+    bias_mm : float
+        Mean error.
+    spread : float
+        Standard deviation of error over its own standard error (robust).
+    texels : int
+    outside_canvas : int
+        Texels that lie on the frame or beyond.
+    """
+
+    observed_rms_mm: float
+    predicted_rms_mm: float
+    bias_mm: float
+    spread: float
+    texels: int
+    outside_canvas: int
+
+    @property
+    def ratio(self) -> float:
+        """Observed over predicted RMS."""
+        return self.observed_rms_mm / self.predicted_rms_mm
+
+
+def record_simulated_scan(
+    rig: SimulatedRig, out: Path, *, advance: Callable[[str], None] = lambda frame: None
+) -> None:
+    """Scan a simulated rig into a session that carries the rig's true calibration."""
+    plan = plan_scan(rig.camera, rig.projector, exposure_s=EXPOSURE_S, source="simulation")
+    with TemporaryDirectory() as folder:
+        true_geometry(rig).save(Path(folder))
+        with SessionWriter.create(out, plan, calibration=Path(folder)) as writer:
+            scan(writer, rig.camera, rig.projector, advance=advance)
+
+
+def true_geometry(rig: SimulatedRig) -> RigGeometry:
+    """The calibration of a simulated rig as it truly is."""
+    camera, projector = rig.camera_lens, rig.projector_lens
+    pose = compose(_pose(projector), invert(_pose(camera)))
+    return RigGeometry(_lens(camera), _lens(projector), pose)
+
+
+def measure_height_error(copy: DigitalCopy, rig: SimulatedRig) -> HeightError:
+    """Compare every texel of a copy with the painting below it.
+
+    Each texel is taken as the point in space that the copy says it is, and its height above the
+    painting's true frame is compared with the true surface there.
+    """
+    field = copy.height_field
+    x, y = np.meshgrid(field.texel_x_mm(), field.texel_y_mm())
+    local = np.stack([x, y, field.height], axis=-1)[field.mask].astype(np.float64)
+    rt_true_canvas = compose(invert(_pose(rig.camera_lens)), field.rt_cam_canvas)
+    points = transform(rt_true_canvas, local)
+    error = points[:, 2] - rig.painting.height_at(points[:, 0], points[:, 1])
+    sigma = np.sqrt(field.variance[field.mask].astype(np.float64))
+    half = np.array(rig.painting.canvas_mm) / 2
+    beyond = (np.abs(points[:, :2]) > half).any(axis=1)
+    return HeightError(
+        float(np.sqrt(np.mean(error**2))),
+        float(np.sqrt(np.mean(sigma**2))),
+        float(np.mean(error)),
+        float(1.4826 * np.median(np.abs(error / sigma))),
+        len(error),
+        int(beyond.sum()),
+    )
+
+
+def _pose(lens: SimulatedLens) -> np.ndarray:
+    return rt_from_matrix(lens.rotation, lens.translation)
+
+
+def _lens(lens: SimulatedLens) -> Lens:
+    return Lens.from_opencv(lens.matrix, lens.distortion, width=lens.width, height=lens.height)
