@@ -46,6 +46,9 @@ class CanvasOptions:
     spike_sigmas : float
         Standard deviations, beyond what the neighbourhood's own roughness explains, at which a
         single pixel is a spike and left out of the mask.
+    sigma_ratio : float
+        A pixel whose height is this many times less certain than the median pixel's, as at the
+        edge of a shadow, is left out.
     erosion_px : int
         Pixels taken off the mask's outline.
     seed_window : float
@@ -59,6 +62,7 @@ class CanvasOptions:
     maximum_slope: float = 2.0
     sigmas: float = 2.0
     spike_sigmas: float = 5.0
+    sigma_ratio: float = 8.0
     erosion_px: int = 3
     seed_window: float = 0.2
     rectangle_fill: float = 0.85
@@ -121,6 +125,8 @@ def extract_canvas(range_image: RangeImage, options: CanvasOptions | None = None
             f"picture and {int(mask.sum())} are left after an erosion of {options.erosion_px} px; "
             "centre the painting in the picture, or raise the slope limit"
         )
+    variance = np.where(mask, range_image.depth_variance, np.inf)
+    mask &= variance <= options.sigma_ratio**2 * np.median(variance[mask])
     centre, normal = _plane(range_image.points[mask])
     mask &= ~_spikes(range_image, mask, centre, normal, options.spike_sigmas)
     points = range_image.points[mask]

@@ -50,9 +50,9 @@ def write_demo_page(done: Processed, error: HeightError, seconds: float, path: P
 def _maps(copy: DigitalCopy) -> list[tuple[str, str]]:
     field = copy.height_field
     gaps = ~field.mask
-    heights = np.ma.masked_array(field.height, gaps)
-    sigma = np.ma.masked_array(1000 * np.sqrt(field.variance), gaps)
-    relief = np.ma.masked_array(copy.relief.significant.astype(float), gaps)
+    heights: NDArray[np.floating] = np.ma.masked_array(field.height, gaps)
+    sigma: NDArray[np.floating] = np.ma.masked_array(1000 * np.sqrt(field.variance), gaps)
+    relief: NDArray[np.floating] = np.ma.masked_array(copy.relief.significant.astype(float), gaps)
     boxes = _plot(relief, "", copy, "Greys", boxes=True)
     return [
         ("Height above the canvas plane, mm", _plot(heights, "mm", copy, "viridis")),
@@ -81,7 +81,7 @@ def _plot(
         values,
         extent=(x0, x0 + width, y0 - height, y0),
         cmap=colours,
-        vmax=float(np.percentile(values[~np.ma.getmaskarray(values)], top)),
+        vmax=float(np.percentile(np.ma.compressed(values), top)),
     )
     axes.set_xlabel("X, mm")
     axes.set_ylabel("Y, mm")

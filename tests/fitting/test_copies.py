@@ -1,0 +1,154 @@
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import numpy as np
+import OpenEXR
+import pytest
+from synthetic_copy import make_copy, strokes
+
+from fitting.copy_files import read_copy, write_copy
+from fitting.digital_copy import ReflectanceMaps
+from fitting.errors import CopyError, FittingError
+from fitting.height_field import HeightField
+from fitting.relief_classification import ReliefOptions, classify_relief
+
+
+@pytest.fixture
+def copy():
+    mask = np.ones((120, 160), bool)
+    mask[50:55, 60:70] = False
+    return make_copy(strokes(), mask=mask)
+
+
+def test_relief_by_hand():
+    height = np.zeros((23, 31), np.float32)
+    height[2:7, 3:8] = 1.0
+    height[4, 5] = 1.5
+    height[15, 20] = 5.0  # a speck
+    height[18:23, 27:31] = 0.9
+    relief = make_copy(height, pitch=1.0, cell=10, delta0_mm=0.5, smallest_mm2=4.0).relief
+    assert relief.significant.sum() == 25 + 20
+    assert relief.boxes.corner.tolist() == [[0, 0], [10, 20], [20, 20], [10, 30], [20, 30]][:1] + [
+        [10, 20],
+        [10, 30],
+        [20, 20],
+        [20, 30],
+    ]
+    assert relief.boxes.size.tolist() == [[10, 10], [10, 10], [10, 1], [3, 10], [3, 1]]
+    assert relief.boxes.h_max[0] == np.float32(1.5)
+    assert relief.boxes.peak[0].tolist() == [4, 5]
+    assert relief.boxes.h_max[1] == np.float32(5.0)  # the highest of the cell, speck or not
+
+
+def test_noise_does_not_become_relief():
+    random = np.random.default_rng(0)
+    x, y = np.meshgrid(np.arange(300) * 0.15, np.arange(300) * 0.15)
+    blister = 0.4 * np.exp(-(((x - 20) / 2.5) ** 2) - ((y - 25) / 6) ** 2)
+    noisy = (blister + random.normal(0, 0.11, x.shape)).astype(np.float32)
+    field = make_copy(noisy, pitch=0.15).height_field
+    field = dataclasses.replace(field, variance=np.full(x.shape, 0.0121, np.float32))
+    relief = classify_relief(field, ReliefOptions())
+    assert 0.08 < relief.delta0_mm < 0.2
+    assert relief.significant[blister > 0.25].mean() > 0.97
+    assert relief.significant[blister < 0.02].mean() < 0.002
+
+
+def test_a_flat_copy_has_no_boxes():
+    relief = make_copy(np.zeros((20, 30))).relief
+    assert len(relief.boxes) == 0
+    assert relief.delta0_mm == 0
+
+
+@pytest.mark.parametrize("with_reflectance", [False, True])
+def test_a_copy_survives_the_disk(copy, tmp_path, with_reflectance):
+    if with_reflectance:
+        random = np.random.default_rng(0)
+        maps = ReflectanceMaps(
+            *(
+                random.uniform(0, 2, (120, 160, n)).astype(np.float16).astype(np.float32)
+                for n in (3, 3, 4)
+            )
+        )
+        copy = dataclasses.replace(copy, reflectance=maps, provenance={"software": "test"})
+    write_copy(copy, tmp_path / "copy")
+    loaded = read_copy(tmp_path / "copy")
+    np.testing.assert_array_equal(loaded.height_field.height, copy.height_field.height)
+    np.testing.assert_array_equal(loaded.height_field.mask, copy.height_field.mask)
+    np.testing.assert_allclose(loaded.height_field.variance, copy.height_field.variance, rtol=2e-3)
+    np.testing.assert_allclose(loaded.normal_xy, copy.normal_xy, atol=5e-4)
+    np.testing.assert_array_equal(loaded.relief.significant, copy.relief.significant)
+    np.testing.assert_array_equal(loaded.relief.boxes.peak, copy.relief.boxes.peak)
+    assert loaded.provenance == copy.provenance
+    assert loaded.height_field.origin_mm == copy.height_field.origin_mm
+    if with_reflectance:
+        np.testing.assert_array_equal(loaded.reflectance.lobe, copy.reflectance.lobe)
+    with pytest.raises(CopyError, match="exists already"):
+        write_copy(copy, tmp_path / "copy")
+    write_copy(copy, tmp_path / "copy", replace=True)
+    assert [p.name for p in tmp_path.iterdir()] == ["copy"]
+
+
+def spoil_height(folder):
+    with OpenEXR.File(str(folder / "relief.exr"), separate_channels=True) as file:
+        channels = {name: np.array(c.pixels) for name, c in file.channels().items()}
+    channels["height"][10, 10] = np.nan
+    OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION}, channels).write(
+        str(folder / "relief.exr")
+    )
+
+
+def empty_mask(folder):
+    with OpenEXR.File(str(folder / "relief.exr"), separate_channels=True) as file:
+        channels = {name: np.array(c.pixels) for name, c in file.channels().items()}
+    channels["mask"][:] = 0
+    OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION}, channels).write(
+        str(folder / "relief.exr")
+    )
+
+
+def truncate(folder):
+    content = (folder / "relief.exr").read_bytes()
+    (folder / "relief.exr").write_bytes(content[: len(content) // 2])
+
+
+def drop_key(folder):
+    header = json.loads((folder / "copy.json").read_text())
+    del header["pitch_mm"]
+    (folder / "copy.json").write_text(json.dumps(header))
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (spoil_height, "1 measured texels of the height field are not finite"),
+        (empty_mask, "canvas is empty"),
+        (truncate, r"relief\.exr: truncated"),
+        (drop_key, "pitch_mm"),
+        (lambda f: (f / "uncertainty.exr").unlink(), r"uncertainty\.exr is missing"),
+        (lambda f: (f / "copy.json").write_text("{"), r"copy\.json: not JSON"),
+        (lambda f: (f / "copy.json").write_text("{}"), "format None"),
+        (lambda f: (f / "copy.json").unlink(), "not a digital copy"),
+    ],
+)
+def test_damaged_copies_are_refused_by_name(copy, tmp_path, damage, message):
+    write_copy(copy, tmp_path / "copy")
+    damage(tmp_path / "copy")
+    with pytest.raises(CopyError, match=message):
+        read_copy(tmp_path / "copy")
+
+
+def test_height_fields_refuse_what_is_no_height(copy):
+    field = copy.height_field
+    heights = field.height.copy()
+    heights[0, 0] = np.inf
+    for change, message in (
+        ({"height": heights}, "row 0, column 0"),
+        ({"mask": np.zeros(field.shape, bool)}, "empty"),
+        ({"pitch_mm": 0.0}, "pitch"),
+        ({"variance": field.variance[1:]}, "differ in shape"),
+    ):
+        with pytest.raises(FittingError, match=message):
+            dataclasses.replace(field, **change)
+    assert isinstance(field, HeightField)

@@ -1,0 +1,235 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from acquisition.correspondence import AxisCoordinate, CorrespondenceMap, Rejection
+from acquisition.patterns import Axis
+from calibration.lens import invert, rotation, rt_from_matrix, transform
+from fitting.canvas import InPlaneAxes, extract_canvas
+from fitting.errors import FittingError
+from fitting.neighbour_kernels import count_agreeing_neighbours, triangle_normals
+from fitting.range_image import triangulate
+from fitting.resampling import resample_heights
+from fitting.surface_noise import measure_surface_noise
+
+
+def depth_of_scene(rays: np.ndarray, relief) -> np.ndarray:
+    """Depth at which rays meet a tilted plane at 430 mm with ``relief(x, y)`` towards the camera."""
+    normal = np.array([0.06, -0.04, -1.0])
+    depth = (normal @ [0, 0, 430.0]) / (rays @ normal)
+    for _ in range(30):
+        points = rays * depth[..., np.newaxis]
+        depth = (normal @ [0, 0, 430.0] + relief(points[..., 0], points[..., 1])) / (rays @ normal)
+    return depth
+
+
+def correspond(rig, relief, *, sigma=0.05, seed=0, axes=tuple(Axis), shape=(240, 320)):
+    """The correspondence map of a scene, with its true points."""
+    col, row = np.meshgrid(np.arange(float(shape[1])), np.arange(float(shape[0])))
+    rays = rig.camera.unproject(np.stack([col, row], axis=-1))
+    points = rays * depth_of_scene(rays, relief)[..., np.newaxis]
+    panel = rig.projector.project(transform(rig.rt_proj_cam, points))
+    random = np.random.default_rng(seed)
+    decoded = {}
+    for axis in axes:
+        at = panel[..., 0 if axis is Axis.COLUMN else 1] + random.normal(0, sigma, shape)
+        variance = np.full(shape, max(sigma, 1e-4) ** 2, np.float32)
+        modulation = np.full(shape, 100, np.float32)
+        decoded[axis] = AxisCoordinate(at, variance, modulation, 32.0, 1.0)
+    nothing = np.zeros(shape, np.uint8)
+    ambient = np.full(shape, 100, np.float32)
+    return CorrespondenceMap(decoded, ambient, nothing, (0, 0), 1.0), points
+
+
+def bumps(x, y):
+    return -1.5 * np.exp(-((x - 8) ** 2 + (y + 5) ** 2) / 40) + 0.3 * np.sin(x / 4)
+
+
+@pytest.mark.parametrize("axes", [(Axis.COLUMN,), tuple(Axis)])
+def test_points_and_their_variance_are_right(rig_geometry, axes):
+    exact, points = correspond(rig_geometry, bumps, sigma=0.0, axes=axes)
+    found = triangulate(exact, rig_geometry)
+    assert found.valid.all()
+    np.testing.assert_allclose(found.points, points, atol=1e-6)
+    noisy, points = correspond(rig_geometry, bumps, axes=axes)
+    found = triangulate(noisy, rig_geometry)
+    z = (found.points[..., 2] - points[..., 2]) / np.sqrt(found.depth_variance)
+    assert found.valid.mean() > 0.999
+    assert np.std(z[found.valid]) == pytest.approx(1, abs=0.03)
+
+
+def test_wrong_orders_are_repaired_or_rejected(rig_geometry):
+    noisy, points = correspond(rig_geometry, bumps)
+    wrong = np.random.default_rng(3).random(noisy.shape) < 0.1
+    column = noisy.axes[Axis.COLUMN]
+    moved = dataclasses.replace(column, coordinate=column.coordinate + 32.0 * wrong)
+    spoiled = dataclasses.replace(noisy, axes={**noisy.axes, Axis.COLUMN: moved})
+    found = triangulate(spoiled, rig_geometry)
+    error = np.abs(found.points[..., 2] - points[..., 2])[found.valid]
+    assert error.max() < 8 * np.sqrt(np.median(found.depth_variance))
+    assert found.valid[wrong].mean() > 0.9
+    assert found.rejection[wrong & ~found.valid].all()
+
+
+def test_a_bent_calibration_across_the_baseline_does_not_bend_the_surface(rig_geometry):
+    exact, points = correspond(rig_geometry, bumps, sigma=0.02)
+    row = exact.axes[Axis.ROW]
+    off = row.coordinate * 1.01 + 3.0
+    moved = {**exact.axes, Axis.ROW: dataclasses.replace(row, coordinate=off)}
+    found = triangulate(dataclasses.replace(exact, axes=moved), rig_geometry)
+    assert found.misalignment_px == pytest.approx(
+        np.sqrt(np.mean((off - row.coordinate) ** 2)), rel=0.1
+    )
+    error = (found.points[..., 2] - points[..., 2])[found.valid]
+    assert np.abs(error).max() < 8 * np.sqrt(np.median(found.depth_variance))
+
+
+def test_a_foreign_calibration_is_refused(rig_geometry):
+    exact, _ = correspond(rig_geometry, bumps)
+    mirrored = dataclasses.replace(
+        rig_geometry, rt_proj_cam=rig_geometry.rt_proj_cam * [1, 1, 1, -1, 1, 1]
+    )
+    with pytest.raises(FittingError, match="calibration belongs to this rig"):
+        triangulate(exact, mirrored)
+
+
+def test_agreement_kernel_against_plain_loops():
+    random = np.random.default_rng(0)
+    depth = 400 + random.normal(0, 0.5, (12, 14))
+    depth[random.random(depth.shape) < 0.2] = np.nan
+    depth[5, 5] = 420
+    variance = np.full(depth.shape, 0.01)
+    share = count_agreeing_neighbours(depth, variance, 0.005, 3.0)
+    for row, col in np.ndindex(depth.shape):
+        if np.isnan(depth[row, col]):
+            assert share[row, col] == 0
+            continue
+        near = [
+            (i, j)
+            for i in range(max(0, row - 2), min(12, row + 3))
+            for j in range(max(0, col - 2), min(14, col + 3))
+            if (i, j) != (row, col)
+        ]
+        agree = sum(
+            abs(depth[i, j] - depth[row, col])
+            < 0.005 * depth[row, col] * np.hypot(i - row, j - col) + 3 * np.sqrt(0.02)
+            for i, j in near
+        )
+        assert share[row, col] == pytest.approx(agree / len(near))
+
+
+def framed(x, y):
+    outside = np.maximum(np.abs(x) - 45, np.abs(y) - 32)
+    return np.where(outside > 0, -12.0, bumps(x, y))
+
+
+def test_the_canvas_is_found_inside_its_frame(rig_geometry):
+    noisy, points = correspond(rig_geometry, framed)
+    canvas = extract_canvas(triangulate(noisy, rig_geometry))
+    x, y = points[..., 0], points[..., 1]
+    inside = (np.abs(x) < 43) & (np.abs(y) < 30)
+    assert canvas.mask[inside].mean() > 0.995
+    assert not canvas.mask[(np.abs(x) > 45.5) | (np.abs(y) > 32.5)].any()
+    assert canvas.axes is InPlaneAxes.MASK_EDGES
+    axes = rotation(canvas.rt_cam_canvas)
+    normal = np.array([0.06, -0.04, -1.0]) / np.linalg.norm([0.06, -0.04, -1.0])
+    assert axes[:, 2] @ normal > np.cos(np.deg2rad(0.5))
+    assert axes[0, 0] > 0.99
+    assert axes[1, 1] < -0.99
+    assert np.linalg.det(axes) == pytest.approx(1)
+
+
+def test_the_centre_may_be_a_hole(rig_geometry):
+    noisy, _ = correspond(rig_geometry, framed)
+    rejection = noisy.rejection.copy()
+    rejection[100:140, 140:180] = Rejection.LOW_MODULATION
+    holed = dataclasses.replace(noisy, rejection=rejection)
+    canvas = extract_canvas(triangulate(holed, rig_geometry))
+    whole = extract_canvas(triangulate(noisy, rig_geometry))
+    assert canvas.mask.sum() > 0.95 * (whole.mask.sum() - 1600)
+    assert not canvas.mask[105:135, 145:175].any()
+
+
+def test_nothing_but_spikes_is_an_empty_canvas(rig_geometry):
+    noisy, _ = correspond(
+        rig_geometry, lambda x, y: 25 * np.sign(np.sin(40 * x) * np.sin(40 * y)), sigma=0.01
+    )
+    with pytest.raises(FittingError):
+        extract_canvas(triangulate(noisy, rig_geometry))
+
+
+@pytest.mark.parametrize("pitch", [None, 1.5])
+def test_heights_and_their_variance_are_right_at_any_pitch(rig_geometry, pitch):
+    def gentle(x, y):
+        return -0.8 * np.exp(-((x - 8) ** 2 + (y + 5) ** 2) / 300)
+
+    exact, _ = correspond(rig_geometry, gentle, sigma=0.0)
+    canvas = extract_canvas(triangulate(exact, rig_geometry))
+    truth = resample_heights(triangulate(exact, rig_geometry), canvas, pitch_mm=pitch)
+    z = []
+    for seed in range(4):
+        noisy, _ = correspond(rig_geometry, gentle, seed=seed)
+        field = resample_heights(
+            triangulate(noisy, rig_geometry),
+            dataclasses.replace(canvas, mask=canvas.mask & triangulate(noisy, rig_geometry).valid),
+            pitch_mm=truth.pitch_mm,
+        )
+        rows, cols = np.minimum(field.shape, truth.shape)
+        shift = np.subtract(field.origin_mm, truth.origin_mm) / truth.pitch_mm
+        assert np.abs(shift).max() < 0.2
+        both = (field.mask & True)[5 : rows - 5, 5 : cols - 5]
+        error = (field.height[:rows, :cols] - truth.height[:rows, :cols])[
+            5 : rows - 5, 5 : cols - 5
+        ]
+        sigma = np.sqrt(field.variance[5 : rows - 5, 5 : cols - 5])
+        z.append((error / sigma)[both])
+    assert np.std(np.concatenate(z)) == pytest.approx(1, abs=0.05)
+
+
+def test_white_noise_of_the_surface_is_as_predicted(rig_geometry):
+    noisy, _ = correspond(rig_geometry, bumps)
+    found = triangulate(noisy, rig_geometry)
+    noise = measure_surface_noise(found, extract_canvas(found))
+    assert noise.observed_mm == pytest.approx(noise.predicted_mm, rel=0.04)
+
+
+def test_a_pitch_that_makes_no_sense_is_refused(rig_geometry):
+    exact, _ = correspond(rig_geometry, bumps)
+    found = triangulate(exact, rig_geometry)
+    canvas = extract_canvas(found)
+    for pitch in (0.0, -1.0, float("nan"), 1e-4):
+        with pytest.raises(FittingError, match="pitch"):
+            resample_heights(found, canvas, pitch_mm=pitch)
+
+
+def test_normals_of_a_sphere_and_at_a_border():
+    x, y = np.meshgrid(np.linspace(-5, 5, 101), np.linspace(5, -5, 101))
+    height = np.sqrt(100 - x**2 - y**2).astype(np.float32)
+    mask = np.ones(height.shape, bool)
+    mask[40:60, 40:60] = False
+    normal, sigma = triangle_normals(height, mask, np.full(height.shape, 1e-4, np.float32), 0.1)
+    expected = np.stack([x, y], axis=-1) / 10
+    np.testing.assert_allclose(
+        normal[1:-1, 1:-1][mask[1:-1, 1:-1]], expected[1:-1, 1:-1][mask[1:-1, 1:-1]], atol=0.008
+    )
+    inner = (slice(5, 35), slice(5, 35))
+    np.testing.assert_allclose(normal[inner], expected[inner], atol=2e-4)
+    assert (sigma[mask] > 0).all()
+    assert not normal[~mask].any()
+
+
+def test_the_standard_error_of_normals_is_what_noise_makes_of_them():
+    random = np.random.default_rng(0)
+    variance = np.full((80, 80), 1e-4, np.float32)
+    noisy = random.normal(0, 1e-2, (80, 80)).astype(np.float32)
+    normal, sigma = triangle_normals(noisy, np.ones((80, 80), bool), variance, 0.5)
+    spread = np.std(normal[2:-2, 2:-2])
+    assert spread == pytest.approx(float(np.median(sigma)), rel=0.04)
+
+
+def test_rt_names_read_off():
+    pose = rt_from_matrix(np.eye(3), np.array([1.0, 2, 3]))
+    np.testing.assert_allclose(transform(invert(pose), np.array([[1.0, 2, 3]])), 0, atol=1e-12)
