@@ -12,10 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 QUANTISATION_VARIANCE = 1 / 12
-# Median of a chi-square variable over its degrees of freedom, by Wilson and Hilferty (1931).
-_WILSON_HILFERTY = 2 / 9
 
 
 @dataclass(frozen=True)
@@ -71,17 +70,21 @@ def fit_sample_noise(
     """
     order = np.argsort(level)
     groups = np.array_split(order, min(bins, max(1, len(order) // 50)))
-    bias = (1 - _WILSON_HILFERTY / degrees_of_freedom) ** 3
     levels = np.array([np.median(level[g]) for g in groups])
     variances = np.array([np.median(residual_sum[g]) for g in groups])
-    variances = variances / (degrees_of_freedom * bias)
+    variances = variances / stats.chi2.median(degrees_of_freedom)
     floor = QUANTISATION_VARIANCE
     if len(groups) < 3 or np.ptp(levels) < 1e-3 * max(1.0, abs(levels).max()):
         return SampleNoise(max(floor, float(np.median(variances))), 0.0, origin)
-    # Relative errors of the bins are alike, so weight by the inverse of the variance itself.
-    weight = 1 / np.maximum(variances, floor)
-    design = np.stack([np.ones_like(levels), levels], axis=1) * weight[:, np.newaxis]
-    read, gain = np.linalg.lstsq(design, variances * weight, rcond=None)[0]
+    # Relative errors of the bins are alike, so weight by the inverse of the fitted variance.
+    expected = np.full_like(variances, np.median(variances))
+    for _ in range(4):
+        weight = 1 / np.maximum(expected, floor)
+        design = np.stack([np.ones_like(levels), levels], axis=1)
+        read, gain = np.linalg.lstsq(
+            design * weight[:, np.newaxis], variances * weight, rcond=None
+        )[0]
+        expected = design @ [read, gain]
     if gain < 0:
         read, gain = float(np.median(variances)), 0.0
     elif read < floor:

@@ -179,6 +179,8 @@ def _align_epipolar(
     along it would bend the surface. What that axis is off by, a polynomial over the picture and
     the depth, is subtracted; wrong periods and noise stay, to be judged after.
     """
+    if not len(rays):
+        return observed.copy(), 0.0
     _, gradient = rig.projector.project_with_gradient(
         np.linalg.norm(rig.rt_proj_cam[3:]) * np.array([[0.0, 0.0, 5.0]])
     )
@@ -192,6 +194,8 @@ def _align_epipolar(
     off = np.where(depth > 0, seen - observed[:, across], np.nan)
 
     x, y = rays[:, 0], rays[:, 1]
+    if not (depth > 0).any():
+        return observed.copy(), 0.0
     near = np.median(depth[depth > 0]) / np.where(depth > 0, depth, np.inf) - 1
     terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y, near, near * x, near * y], axis=1)
     used = np.flatnonzero(np.isfinite(off) & (np.abs(near) < 1))

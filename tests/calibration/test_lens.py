@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from acquisition.foreign_capture import CalibrationDescription
+from acquisition.foreign_capture import CalibrationDescription, Direction
 from acquisition.plan import Imager
 from calibration.errors import CalibrationError
 from calibration.lens import Lens, compose, invert, rotation, transform
@@ -89,7 +89,7 @@ def test_opencv_files_are_read_as_written(matrices, rig_geometry, tmp_path, suff
     geometry = read_rig_geometry(path, NAMES, **sizes)
     np.testing.assert_allclose(geometry.rt_proj_cam, rig_geometry.rt_proj_cam, atol=1e-9)
     other_way = read_rig_geometry(
-        path, NAMES.model_copy(update={"pose": "projector to camera"}), **sizes
+        path, NAMES.model_copy(update={"pose": Direction.PROJECTOR_TO_CAMERA}), **sizes
     )
     np.testing.assert_allclose(invert(other_way.rt_proj_cam), rig_geometry.rt_proj_cam, atol=1e-9)
 

@@ -17,7 +17,7 @@ from fitting.surface_noise import measure_surface_noise
 
 
 def depth_of_scene(rays: np.ndarray, relief) -> np.ndarray:
-    """Depth at which rays meet a tilted plane at 430 mm with ``relief(x, y)`` towards the camera."""
+    """Depth at which rays meet a tilted plane at 430 mm with ``relief(x, y)`` on it."""
     normal = np.array([0.06, -0.04, -1.0])
     depth = (normal @ [0, 0, 430.0]) / (rays @ normal)
     for _ in range(30):
@@ -61,17 +61,31 @@ def test_points_and_their_variance_are_right(rig_geometry, axes):
     assert np.std(z[found.valid]) == pytest.approx(1, abs=0.03)
 
 
-def test_wrong_orders_are_repaired_or_rejected(rig_geometry):
-    noisy, points = correspond(rig_geometry, bumps)
-    wrong = np.random.default_rng(3).random(noisy.shape) < 0.1
-    column = noisy.axes[Axis.COLUMN]
+def with_wrong_columns(correspondence, share=0.1):
+    wrong = np.random.default_rng(3).random(correspondence.shape) < share
+    column = correspondence.axes[Axis.COLUMN]
     moved = dataclasses.replace(column, coordinate=column.coordinate + 32.0 * wrong)
-    spoiled = dataclasses.replace(noisy, axes={**noisy.axes, Axis.COLUMN: moved})
-    found = triangulate(spoiled, rig_geometry)
+    axes = {**correspondence.axes, Axis.COLUMN: moved}
+    return dataclasses.replace(correspondence, axes=axes), wrong
+
+
+def test_wrong_orders_are_repaired_where_the_baseline_is_oblique(rig_geometry):
+    pose = np.array([-0.15, 0.3, 0.01, -130.0, -80.0, 25.0])
+    oblique = dataclasses.replace(rig_geometry, rt_proj_cam=pose)
+    noisy, points = correspond(oblique, bumps)
+    spoiled, wrong = with_wrong_columns(noisy)
+    found = triangulate(spoiled, oblique)
     error = np.abs(found.points[..., 2] - points[..., 2])[found.valid]
     assert error.max() < 8 * np.sqrt(np.median(found.depth_variance))
-    assert found.valid[wrong].mean() > 0.9
-    assert found.rejection[wrong & ~found.valid].all()
+    assert found.valid[wrong].mean() > 0.99
+
+
+def test_wrong_orders_that_the_geometry_cannot_tell_are_outliers(rig_geometry):
+    noisy, points = correspond(rig_geometry, bumps)
+    spoiled, wrong = with_wrong_columns(noisy, share=0.05)
+    found = triangulate(spoiled, rig_geometry)
+    assert (found.rejection[wrong] & Rejection.OUTLIER != 0).mean() > 0.999
+    assert found.valid[~wrong].mean() > 0.999
 
 
 def test_a_bent_calibration_across_the_baseline_does_not_bend_the_surface(rig_geometry):

@@ -92,7 +92,7 @@ def test_relief_mapping_agrees_with_the_mesh(painter, copy, view):
 
 
 def test_bump_is_flat_and_hybrid_raises_what_stands_above_the_plane(painter, copy):
-    view = named_view(copy, NamedView.INSHOT_GRAZING, aspect=4 / 3)
+    view = View(np.deg2rad(-90.0), np.deg2rad(30.0), 110.0)
     bump, hybrid, relief = (
         paint(painter, copy, mode, view) for mode in (Mode.BUMP, Mode.HYBRID, Mode.RELIEF)
     )
@@ -177,7 +177,8 @@ def test_orientation_is_neither_mirrored_nor_upside_down(painter):
     mask = np.ones(height.shape, bool)
     mask[:20, 60:] = False  # top right
     copy = make_copy(height, mask=mask)
-    picture = paint(painter, copy, Mode.MESH)
+    view = View(np.deg2rad(-90.0), np.deg2rad(89.9), 70.0)
+    picture = paint(painter, copy, Mode.MESH, view)
     covered = picture.coverage > 0.5
     rows, cols = np.nonzero(covered)
     middle = covered[rows.min() : rows.max(), cols.min() : cols.max()]

@@ -1,0 +1,152 @@
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from synthetic_copy import make_copy, strokes
+from synthetic_scan import expose, fringe_patterns, make_plan
+
+from acquisition.patterns import Axis
+from acquisition.session_writer import SessionWriter
+from fitting.copy_files import read_copy, write_copy
+
+IMPASTO = Path(sys.executable).parent / "impasto"
+CAPTURES = Path(__file__).parents[2] / "fixtures" / "captures"
+COMMANDS = ("demo", "import", "process", "render")
+
+
+def impasto(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    words = [str(IMPASTO), *map(str, arguments)]
+    return subprocess.run(words, capture_output=True, text=True, cwd=cwd, timeout=300)
+
+
+def test_help_names_every_command_and_each_shows_an_example():
+    overview = impasto("--help")
+    assert overview.returncode == 0
+    for command in COMMANDS:
+        assert command in overview.stdout
+        text = impasto(command, "--help").stdout
+        assert "Example:" in text
+        example = re.search(rf"impasto {command} .*", text)
+        assert example
+        assert shlex.split(example.group())
+
+
+def test_the_demo_is_as_accurate_as_it_predicts(tmp_path):
+    done = impasto("demo", "--out", tmp_path / "demo", "--json", tmp_path / "figures.json")
+    assert done.returncode == 0, done.stderr
+    figures = json.loads((tmp_path / "figures.json").read_text())
+    truth = figures["truth"]
+    assert 0.8 < truth["height_rms_over_predicted"] < 1.25
+    assert 0.9 < truth["z_spread"] < 1.1
+    assert abs(truth["height_bias_mm"]) < 0.2 * truth["height_rms_predicted_mm"]
+    assert truth["texels_outside_canvas"] == 0
+    # Nearly the whole canvas of 120 × 90 mm is there, less shadow of the frame and erosion.
+    assert figures["texels"] * figures["pitch_mm"] ** 2 > 0.9 * 120 * 90
+    assert len(list((tmp_path / "demo" / "renders").glob("*.png"))) == 6
+    assert (tmp_path / "demo" / "index.html").is_file()
+    again = impasto("demo", "--out", tmp_path / "demo")
+    assert again.returncode == 3
+    assert "exists already" in again.stderr
+
+
+def test_render_writes_linear_and_display_pictures(tmp_path):
+    write_copy(make_copy(strokes()), tmp_path / "copy")
+    for name in ("a.png", "a.exr"):
+        done = impasto(
+            "render", tmp_path / "copy", "--mode", "hybrid", "--view=-60,40,150", "--size", "160x120",
+            "--light", "45,30", "--out", tmp_path / name,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+    assert cv2.imread(str(tmp_path / "a.png")).shape == (120, 160, 3)
+    done = impasto(
+        "render", tmp_path / "copy", "--mode", "all", "--view", "all", "--size", "80x60", "--out", tmp_path / "all"
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert len(list((tmp_path / "all").iterdir())) == 31
+
+
+@pytest.fixture
+def dark_session(tmp_path, rig_geometry):
+    plan = make_plan(fringe_patterns(Axis.COLUMN, period=600.0, steps=4))
+    frames = expose(plan, {}, mean=8, modulation=0, sigma=0.0)
+    rig_geometry.save(tmp_path / "calibration")
+    with SessionWriter.create(tmp_path / "s", plan, calibration=tmp_path / "calibration") as writer:
+        for number, (frame_id, image) in enumerate(frames.items()):
+            writer.record(frame_id, image, sequence=number)
+        writer.finish()
+    return tmp_path / "s"
+
+
+def test_bad_input_ends_with_its_code_and_nothing_written(tmp_path, dark_session):
+    write_copy(make_copy(strokes()), tmp_path / "copy")
+    (tmp_path / "bad.toml").write_text("name = 3")
+    cases = [
+        (("process", dark_session, "--out", tmp_path / "o"), 3, "not one pixel could be decoded"),
+        (("process", tmp_path / "none", "--out", tmp_path / "o"), 3, "no such session"),
+        (("process", tmp_path / "none"), 2, "--out"),
+        (("render", tmp_path / "none", "--out", tmp_path / "o.png"), 3, "not a digital copy"),
+        (("render", tmp_path / "copy", "--out", tmp_path / "o.tiff"), 3, ".png or .exr"),
+        (("render", tmp_path / "copy", "--mode", "x", "--out", tmp_path / "o.png"), 2, "mode"),
+        (("render", tmp_path / "copy", "--size", "0x9", "--out", tmp_path / "o.png"), 2, "size"),
+        (("render", tmp_path / "copy", "--view", "up", "--out", tmp_path / "o.png"), 3, "no view"),
+        (
+            ("import", tmp_path, "--capture", tmp_path / "bad.toml", "--out", tmp_path / "o"),
+            3,
+            "name",
+        ),
+    ]
+    before = sorted(p.name for p in tmp_path.iterdir())
+    for arguments, code, message in cases:
+        done = impasto(*arguments)
+        assert done.returncode == code, done.stderr
+        assert message in re.sub(r"\s+", " ", done.stderr)
+        assert "Traceback" not in done.stderr
+    assert sorted(p.name for p in tmp_path.iterdir()) == before
+
+
+def bring_in(source: Path, name: str, out: Path) -> None:
+    done = impasto("import", source, "--capture", CAPTURES / f"{name}.toml", "--out", out)
+    assert done.returncode == 0, done.stderr
+
+
+def test_real_plaster_relief(real_data, tmp_path):
+    bring_in(real_data / "slmaster_relief_mono", "slmaster_relief_mono", tmp_path / "s")
+    done = impasto(
+        "process", tmp_path / "s", "--out", tmp_path / "c", "--json", tmp_path / "f.json"
+    )
+    assert done.returncode == 0, done.stderr
+    figures = json.loads((tmp_path / "f.json").read_text())
+    noise = figures["height_noise"]
+    assert noise["observed_mm"] / noise["predicted_mm"] == pytest.approx(1, abs=0.1)
+    # 214 654 pixels of the picture have a modulation above 10, the tablet's sides included.
+    assert figures["canvas_pixels"] > 0.9 * 214_654
+    low, high = figures["height_range_mm"]
+    assert 40 < high - low < 130
+
+
+def test_real_board_is_flat_but_for_its_blisters(real_data, tmp_path):
+    source = real_data / "slstudio_procam" / "calseq1"
+    bring_in(source, "slstudio_procam", tmp_path / "s")
+    done = impasto("process", tmp_path / "s", "--out", tmp_path / "c")
+    assert done.returncode == 0, done.stderr
+    copy = read_copy(tmp_path / "c")
+    heights = copy.height_field.height[copy.height_field.mask]
+    assert np.std(heights) < 0.2
+    assert 0.05 < copy.relief.delta0_mm < 0.3
+    assert 0.01 < copy.relief.significant[copy.height_field.mask].mean() < 0.15
+    assert len(copy.relief.boxes) > 50
+
+
+def test_real_plane_without_calibration_says_so(real_data, tmp_path):
+    bring_in(real_data / "kamino410_gamma_plane", "kamino410_gamma_plane", tmp_path / "s")
+    done = impasto("process", tmp_path / "s", "--out", tmp_path / "c")
+    assert done.returncode == 3
+    assert "no rig calibration" in done.stderr
