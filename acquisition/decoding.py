@@ -236,7 +236,7 @@ def estimate_noise(fringes: list[tuple[Fringe, Samples]]) -> SampleNoise:
                 degrees_of_freedom=freedom,
                 origin=f"white part of the residual of {freedom + 3} phase steps",
             )
-    thin = (slice(None), slice(None, None, _NOISE_STRIDE), slice(None, None, _NOISE_STRIDE))
+    thin = (slice(None), slice(None, None, _NOISE_STRIDE))
     if len(fringes) > 1:
         steps = len(fringes[0][0].shifts_rad)
         means = np.stack([stack[thin].mean(axis=0).ravel() for _, stack in fringes])

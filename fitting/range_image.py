@@ -176,8 +176,8 @@ def _align_epipolar(
     """Coordinates with the smooth disagreement between the axes removed, and its RMS in pixels.
 
     The axis across the baseline says next to nothing of the depth, but an error of the calibration
-    along it would bend the surface. What that axis is off by, a polynomial over the picture and
-    the depth, is subtracted; wrong periods and noise stay, to be judged after.
+    along it would bend the surface. What that axis is off by, a cubic over the picture, is
+    subtracted; wrong periods and noise stay, to be judged after.
     """
     if not len(rays):
         return observed.copy(), 0.0
@@ -196,9 +196,9 @@ def _align_epipolar(
     x, y = rays[:, 0], rays[:, 1]
     if not (depth > 0).any():
         return observed.copy(), 0.0
-    near = np.median(depth[depth > 0]) / np.where(depth > 0, depth, np.inf) - 1
-    terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y, near, near * x, near * y], axis=1)
-    used = np.flatnonzero(np.isfinite(off) & (np.abs(near) < 1))
+    # No term in the depth: where the period is wrong the depth is too, and would spoil the row.
+    terms = np.stack([x**i * y**j for i in range(4) for j in range(4 - i)], axis=1)
+    used = np.flatnonzero(np.isfinite(off))
     used = used[:: max(1, len(used) // 20_000)]
     limit = np.inf
     model = np.zeros(terms.shape[1])

@@ -24,6 +24,7 @@ from fitting.range_image import RangeImage
 _REACH = 0.75
 # Half-widths tried in turn, in units of the first.
 _WIDENINGS = (1.0, 2.0)
+_LARGEST_MAGNIFICATION = 9.0
 _LARGEST_SIDE = 16384
 
 
@@ -150,4 +151,7 @@ def _solve_planes(
     height = a * sz + b * sxz + c * syz
     v, vx, vy, vxx, vxy, vyy = np.moveaxis(noise, -1, 0)
     variance = a * a * v + b * b * vxx + c * c * vyy + 2 * (a * b * vx + a * c * vy + b * c * vxy)
+    # A plane through samples on one side only is a guess, which shows in how it magnifies their
+    # noise over that of their mean.
+    determined &= variance <= _LARGEST_MAGNIFICATION * v / scale**2
     return height, variance, determined

@@ -81,7 +81,7 @@ def test_wrong_orders_are_repaired_where_the_baseline_is_oblique(rig_geometry):
 
 
 def test_wrong_orders_that_the_geometry_cannot_tell_are_outliers(rig_geometry):
-    noisy, points = correspond(rig_geometry, bumps)
+    noisy, _ = correspond(rig_geometry, bumps)
     spoiled, wrong = with_wrong_columns(noisy, share=0.05)
     found = triangulate(spoiled, rig_geometry)
     assert (found.rejection[wrong] & Rejection.OUTLIER != 0).mean() > 0.999
@@ -199,7 +199,7 @@ def test_heights_and_their_variance_are_right_at_any_pitch(rig_geometry, pitch):
             5 : rows - 5, 5 : cols - 5
         ]
         sigma = np.sqrt(field.variance[5 : rows - 5, 5 : cols - 5])
-        z.append((error / sigma)[both])
+        z.append(error[both] / sigma[both])
     assert np.std(np.concatenate(z)) == pytest.approx(1, abs=0.05)
 
 

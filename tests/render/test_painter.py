@@ -97,7 +97,7 @@ def test_bump_is_flat_and_hybrid_raises_what_stands_above_the_plane(painter, cop
         paint(painter, copy, mode, view) for mode in (Mode.BUMP, Mode.HYBRID, Mode.RELIEF)
     )
     raised = (hybrid.depth_mm > 0) & (hybrid.depth_mm < bump.depth_mm - 0.1)
-    assert raised.mean() > 0.02
+    assert raised.mean() > 0.01
     # Where boxes were hit, they were hit where the whole surface is.
     close = np.abs(hybrid.depth_mm - relief.depth_mm)[raised & (relief.depth_mm > 0)]
     assert np.median(close) < 0.02
