@@ -240,6 +240,8 @@ def estimate_noise(fringes: list[tuple[Fringe, Samples]]) -> SampleNoise:
     if len(fringes) > 1:
         steps = len(fringes[0][0].shifts_rad)
         means = np.stack([stack[thin].mean(axis=0).ravel() for _, stack in fringes])
+        # Means of whole numbers are multiples of 1/steps, and medians of them would be too.
+        means += np.random.default_rng(0).uniform(-0.5, 0.5, means.shape) / steps
         # Lamp flicker shifts a whole frame: it is no noise of the sample.
         means -= np.median(means - means.mean(axis=0), axis=1, keepdims=True)
         residual = steps * means.var(axis=0) * len(means)

@@ -230,11 +230,12 @@ def _repair_orders(
     combination or more than one fits.
     """
     repaired = observed.copy()
+    panel = np.array([rig.projector.width, rig.projector.height])
     matches = np.zeros(len(rays), np.int32)
     only_column = np.broadcast_to(np.array([1.0, 0.0]), observed.shape)
     across, down = (
         [-1, 0, 1] + [sign * (n - less) for sign in (-1, 1) for less in (0, 1) if n > 2]
-        for n in np.round([rig.projector.width, rig.projector.height] / periods).astype(int)
+        for n in np.round(panel / periods).astype(int)
     )
     for column_order in across:
         shifted = observed + np.array([column_order, 0.0]) * periods
@@ -243,7 +244,8 @@ def _repair_orders(
         row = rig.projector.project(np.nan_to_num(points, nan=1.0))[:, 1]
         for row_order in down:
             candidate = shifted + np.array([0.0, row_order]) * periods
-            fits = (depth > 0) & (np.abs(candidate[:, 1] - row) <= tolerance)
+            on_panel = ((candidate >= -0.5) & (candidate <= panel - 0.5)).all(axis=1)
+            fits = on_panel & (depth > 0) & (np.abs(candidate[:, 1] - row) <= tolerance)
             repaired[fits] = candidate[fits]
             matches += fits
     return np.where((matches == 1)[:, np.newaxis], repaired, observed)

@@ -71,7 +71,9 @@ def with_wrong_columns(correspondence, share=0.1):
 
 def test_wrong_orders_are_repaired_where_the_baseline_is_oblique(rig_geometry):
     pose = np.array([-0.15, 0.3, 0.01, -130.0, -80.0, 25.0])
-    oblique = dataclasses.replace(rig_geometry, rt_proj_cam=pose)
+    shifted = rig_geometry.projector.intrinsics + np.array([0, 0, 0, 45.0, 0, 0, 0, 0, 0])
+    projector = dataclasses.replace(rig_geometry.projector, intrinsics=shifted)
+    oblique = dataclasses.replace(rig_geometry, projector=projector, rt_proj_cam=pose)
     noisy, points = correspond(oblique, bumps)
     spoiled, wrong = with_wrong_columns(noisy)
     found = triangulate(spoiled, oblique)

@@ -19,7 +19,7 @@ from fitting.copy_files import read_copy, write_copy
 
 IMPASTO = Path(sys.executable).parent / "impasto"
 CAPTURES = Path(__file__).parents[2] / "fixtures" / "captures"
-COMMANDS = ("demo", "import", "process", "render")
+COMMANDS = ("bench", "demo", "import", "process", "render")
 
 
 def impasto(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
@@ -61,14 +61,15 @@ def test_render_writes_linear_and_display_pictures(tmp_path):
     write_copy(make_copy(strokes()), tmp_path / "copy")
     for name in ("a.png", "a.exr"):
         done = impasto(
-            "render", tmp_path / "copy", "--mode", "hybrid", "--view=-60,40,150", "--size", "160x120",
-            "--light", "45,30", "--out", tmp_path / name,
-        )  # fmt: skip
+            *("render", tmp_path / "copy", "--mode", "hybrid", "--view=-60,40,150"),
+            *("--size", "160x120", "--light", "45,30", "--out", tmp_path / name),
+        )
         assert done.returncode == 0, done.stderr
     assert cv2.imread(str(tmp_path / "a.png")).shape == (120, 160, 3)
     done = impasto(
-        "render", tmp_path / "copy", "--mode", "all", "--view", "all", "--size", "80x60", "--out", tmp_path / "all"
-    )  # fmt: skip
+        *("render", tmp_path / "copy", "--mode", "all", "--view", "all"),
+        *("--size", "80x60", "--out", tmp_path / "all"),
+    )
     assert done.returncode == 0, done.stderr
     assert len(list((tmp_path / "all").iterdir())) == 31
 

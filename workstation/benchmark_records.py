@@ -1,0 +1,73 @@
+"""Records of benchmarks: a figure, its bound, and whether the bound holds."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+
+class Sense(StrEnum):
+    """What a bound means."""
+
+    AT_MOST = "at most"
+    AT_LEAST = "at least"
+    WITHIN = "within"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Record:
+    """One figure of a benchmark.
+
+    Attributes
+    ----------
+    name : str
+    value : float
+    unit : str
+    bound : float or (float, float)
+        The pair is for :attr:`Sense.WITHIN`.
+    sense : Sense
+    runs : int
+        Measurements behind the value.
+    note : str
+    """
+
+    name: str
+    value: float
+    unit: str
+    bound: float | tuple[float, float]
+    sense: Sense
+    runs: int = 1
+    note: str = ""
+
+    @property
+    def holds(self) -> bool:
+        """Whether the value keeps its bound."""
+        if isinstance(self.bound, tuple):
+            return self.bound[0] <= self.value <= self.bound[1]
+        if self.sense is Sense.AT_MOST:
+            return self.value <= self.bound
+        return self.value >= self.bound
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain JSON values, with ``holds``."""
+        return asdict(self) | {"sense": str(self.sense), "holds": self.holds}
+
+
+def print_records(records: list[Record]) -> None:
+    """Print records as a table on standard output."""
+    table = Table("figure", "value", "bound", "holds", "note")
+    for record in records:
+        bound = record.bound
+        limits = f"{bound[0]:g} to {bound[1]:g}" if isinstance(bound, tuple) else f"{bound:g}"
+        table.add_row(
+            record.name,
+            f"{record.value:.4g} {record.unit}",
+            f"{record.sense} {limits}",
+            "yes" if record.holds else "NO",
+            record.note,
+        )
+    Console().print(table)
