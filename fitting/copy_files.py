@@ -44,8 +44,7 @@ def write_copy(copy: DigitalCopy, path: Path, *, replace: bool = False) -> None:
         ``path`` exists and is not to be replaced, or is no copy.
     """
     path = Path(path)
-    if path.exists() and not (replace and (path / COPY_FILE).is_file()):
-        raise CopyError(f"{path} exists already; choose another place, or remove it first")
+    check_destination(path, replace=replace)
     field = copy.height_field
     with folder_in_progress(path, replace=replace) as folder:
         relief: dict[str, NDArray[Any]] = {
@@ -65,6 +64,17 @@ def write_copy(copy: DigitalCopy, path: Path, *, replace: bool = False) -> None:
                     folder / f"{name}.exr", {c: array[..., i] for i, c in enumerate(channels)}
                 )
         (folder / COPY_FILE).write_text(json.dumps(_header(copy), indent=1, allow_nan=False))
+
+
+def check_destination(path: Path, *, replace: bool) -> None:
+    """Refuse to write a copy over anything but a copy that is to be replaced.
+
+    Raises
+    ------
+    CopyError
+    """
+    if path.exists() and not (replace and (path / COPY_FILE).is_file()):
+        raise CopyError(f"{path} exists already; choose another place, or remove it first")
 
 
 def read_copy(path: Path) -> DigitalCopy:

@@ -59,7 +59,9 @@ class Record:
 
 def print_records(records: list[Record]) -> None:
     """Print records as a table on standard output."""
-    table = Table("figure", "value", "bound", "holds", "note")
+    table = Table()
+    for heading in ("figure", "value", "bound", "holds", "note"):
+        table.add_column(heading, no_wrap=heading == "figure", overflow="fold")
     for record in records:
         bound = record.bound
         limits = f"{bound[0]:g} to {bound[1]:g}" if isinstance(bound, tuple) else f"{bound:g}"

@@ -12,6 +12,7 @@ import typer
 from rich.console import Console
 
 from devices.errors import ImpastoError
+from workstation.interruption import watch_for_interruption
 
 EXIT_BAD_INPUT = 3
 EXIT_INTERRUPTED = 130
@@ -33,9 +34,14 @@ def main() -> None:
     from workstation import commands
 
     commands.register(app)
+    watch_for_interruption()
     messages = Console(stderr=True, highlight=False, soft_wrap=True)
     try:
-        app(standalone_mode=False)
+        # Typer hands some outcomes, interruption among them, back as an exit code.
+        code = app(standalone_mode=False) or 0
+        if code == EXIT_INTERRUPTED:
+            raise KeyboardInterrupt
+        sys.exit(code)
     except ImpastoError as error:
         messages.print(f"[bold red]error:[/] {_escape(str(error))}")
         sys.exit(error.exit_code)

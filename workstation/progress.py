@@ -16,6 +16,8 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from workstation.interruption import stop_if_requested
+
 
 class Steps:
     """Counts the steps of one long job."""
@@ -27,12 +29,14 @@ class Steps:
 
     def begin(self, step: str) -> None:
         """Say what is being done now."""
+        stop_if_requested()
         self._progress.update(self._task, description=f"{self._title}: {step}")
         if not self._progress.console.is_terminal:
             self._progress.console.print(f"{self._title}: {step}", highlight=False)
 
     def advance(self) -> None:
         """One step is done."""
+        stop_if_requested()
         self._progress.advance(self._task)
 
 

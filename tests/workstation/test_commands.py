@@ -3,8 +3,10 @@ from __future__ import annotations
 import json
 import re
 import shlex
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import cv2
@@ -15,6 +17,7 @@ from synthetic_scan import expose, fringe_patterns, make_plan
 
 from acquisition.patterns import Axis
 from acquisition.session_writer import SessionWriter
+from calibration.opencv_files import write_matrices
 from fitting.copy_files import read_copy, write_copy
 
 IMPASTO = Path(sys.executable).parent / "impasto"
@@ -111,6 +114,60 @@ def test_bad_input_ends_with_its_code_and_nothing_written(tmp_path, dark_session
         assert message in re.sub(r"\s+", " ", done.stderr)
         assert "Traceback" not in done.stderr
     assert sorted(p.name for p in tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize("damage", ["missing", "truncated", "wrong size", "no matrix"])
+def test_a_bad_capture_leaves_no_session(tmp_path, rig_geometry, damage):
+    folder = tmp_path / "files"
+    folder.mkdir()
+    for name in "abc":
+        cv2.imwrite(str(folder / f"{name}.png"), np.full((12, 16), ord(name), np.uint8))
+    write_matrices(folder / "c.yml", {"K": np.eye(3)})
+    description = """
+name = "test"
+camera = { width = 16, height = 12 }
+projector = { width = 512, height = 320 }
+saturation_level = 255
+[[phase_shift]]
+axis = "column"
+periods = 1
+files = ["a.png", "b.png", "c.png"]
+"""
+    if damage == "missing":
+        (folder / "b.png").unlink()
+    elif damage == "truncated":
+        (folder / "b.png").write_bytes((folder / "b.png").read_bytes()[:40])
+    elif damage == "wrong size":
+        cv2.imwrite(str(folder / "b.png"), np.zeros((5, 16), np.uint8))
+    else:
+        names = "camera_matrix camera_distortion projector_matrix projector_distortion rotation"
+        keys = "".join(f'{name} = "K"\n' for name in names.split())
+        description += f'[calibration]\nfile = "c.yml"\n{keys}translation = "T"\n'
+    (tmp_path / "capture.toml").write_text(description)
+    before = sorted(p.name for p in tmp_path.iterdir())
+    done = impasto(
+        "import", folder, "--capture", tmp_path / "capture.toml", "--out", tmp_path / "s"
+    )
+    assert done.returncode == 3, done.stderr
+    assert ("c.yml: no matrix 'T'" if damage == "no matrix" else "b.png") in done.stderr
+    assert "Traceback" not in done.stderr
+    assert sorted(p.name for p in tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("stage", ["scanning", "reconstructing", "rendering near-front"])
+def test_an_interrupted_demo_leaves_nothing(tmp_path, sign, stage):
+    words = [str(IMPASTO), "demo", "--out", str(tmp_path / "demo")]
+    running = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
+    assert running.stderr is not None
+    for line in running.stderr:
+        if stage in line:
+            break
+    time.sleep(0.2)
+    running.send_signal(sign)
+    assert running.wait(timeout=60) == 130
+    assert "interrupted" in running.stderr.read()
+    assert not list(tmp_path.iterdir())
 
 
 def bring_in(source: Path, name: str, out: Path) -> None:

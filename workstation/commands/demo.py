@@ -37,6 +37,7 @@ def demo(
     from render.views import NamedView, named_view
     from workstation.demo_page import write_demo_page
     from workstation.demonstration import measure_height_error, record_simulated_scan
+    from workstation.interruption import stop_if_requested
     from workstation.json_output import write_json
     from workstation.processing import process_session
     from workstation.progress import progress
@@ -52,7 +53,7 @@ def demo(
         rig = demo_rig(seed=seed)
         steps.advance()
         steps.begin("scanning")
-        record_simulated_scan(rig, folder / "session")
+        record_simulated_scan(rig, folder / "session", advance=lambda frame_id: stop_if_requested())
         steps.advance()
 
         def begin(stage: str) -> None:

@@ -35,13 +35,14 @@ def process(
 
         impasto process session/ --out copy/
     """
-    from fitting.copy_files import write_copy
+    from fitting.copy_files import check_destination, write_copy
     from fitting.relief_classification import ReliefOptions
     from fitting.surface import SurfaceOptions
     from workstation.json_output import write_json
     from workstation.processing import ProcessingOptions, process_session
     from workstation.progress import progress
 
+    check_destination(out, replace=force)
     relief = ReliefOptions(delta0_mm=delta0, cell=cell)
     options = ProcessingOptions(surface=SurfaceOptions(relief=relief, pitch_mm=pitch))
     with progress("processing", total=4) as steps:
