@@ -372,28 +372,32 @@ def _gray_coordinate(
     """Centre of every pixel's Gray cell, or None where the plan has no Gray code of this axis."""
     bits: dict[int, PlannedFrame] = {}
     inverses: dict[int, PlannedFrame] = {}
+    codes = set()
     for frame in plan.frames:
-        if isinstance(frame.pattern, Gray) and frame.pattern.axis is axis:
-            (inverses if frame.pattern.inverse else bits)[frame.pattern.bit] = frame
-    if not bits:
+        pattern = frame.pattern
+        if isinstance(pattern, Gray) and pattern.axis is axis:
+            (inverses if pattern.inverse else bits)[pattern.bit] = frame
+            codes.add(pattern.code)
+    if not codes:
         return None
-    pattern = bits[min(bits)].pattern
-    assert isinstance(pattern, Gray)
-    missing = sorted(set(range(pattern.bits)) - set(bits))
+    if len(codes) > 1:
+        raise DecodingError(f"the plan has {len(codes)} different Gray codes of the {axis}s")
+    _, length, step_px, offset = codes.pop()
+    missing = sorted(set(range(length)) - set(bits))
     if missing:
         raise DecodingError(f"bits {missing} of the Gray code of the {axis}s are missing")
     code = np.zeros(ambient.shape, np.int32)
-    for bit in range(pattern.bits):
+    for bit in range(length):
         threshold = ambient
         if bit in inverses:
             threshold = read_frame(inverses[bit].id).astype(np.float32)
         shift_in_bit(code, read_frame(bits[bit].id), threshold)
     cell = gray_to_cell(code)
     return _Coarse(
-        (cell + (0.5 - pattern.offset)) * pattern.step_px,
+        (cell + (0.5 - offset)) * step_px,
         np.zeros(cell.shape, np.float32),
         # A blurred edge is read one cell too far: half a cell more is not a contradiction.
-        pattern.step_px,
+        step_px,
         np.zeros(cell.shape, np.bool_),
     )
 

@@ -142,3 +142,12 @@ def test_a_missing_gray_bit_is_refused():
     )
     with pytest.raises(DecodingError, match=r"bits \[4, 5\]"):
         decode_frames(plan, expose(plan, {Axis.COLUMN: ramp()}))
+
+
+def test_two_gray_codes_of_one_axis_are_refused():
+    codes = gray_patterns(Axis.COLUMN, step=16.0, bits=6) + gray_patterns(
+        Axis.COLUMN, step=8.0, bits=7
+    )
+    plan = make_plan(fringe_patterns(Axis.COLUMN, period=32.0, steps=4) + codes)
+    with pytest.raises(DecodingError, match="2 different Gray codes"):
+        decode_frames(plan, expose(plan, {Axis.COLUMN: ramp()}))
