@@ -40,8 +40,9 @@ class PaintingPrimitive(pyrender.Primitive):
         Vertex and fragment shader files.
     uniforms : dict
         Beside the material's.
-    cull : bool
-        Whether front faces are left out, for boxes whose inside is searched.
+    culled : int or None
+        Faces left out: ``GL_FRONT`` for boxes whose inside is searched, ``GL_BACK`` for a surface
+        that is nothing from behind.
     """
 
     def __init__(
@@ -52,13 +53,13 @@ class PaintingPrimitive(pyrender.Primitive):
         shaders: tuple[str, str],
         *,
         uniforms: dict[str, Any] | None = None,
-        cull: bool = False,
+        culled: int | None = None,
     ) -> None:
         super().__init__(positions=positions, material=material)
         self._triangles = np.ascontiguousarray(indices, dtype=np.uint32)
         self.shaders = shaders
         self._uniforms = uniforms or {}
-        self._cull = cull
+        self._culled = culled
 
     def _add_to_context(self) -> None:
         self._vaid = GL.glGenVertexArrays(1)
@@ -90,11 +91,11 @@ class PaintingPrimitive(pyrender.Primitive):
     def _set_state(self) -> None:
         GL.glPolygonMode(GL.GL_FRONT_AND_BACK, GL.GL_FILL)
         GL.glDisable(GL.GL_BLEND)
-        if self._cull:
-            GL.glEnable(GL.GL_CULL_FACE)
-            GL.glCullFace(GL.GL_FRONT)
-        else:
+        if self._culled is None:
             GL.glDisable(GL.GL_CULL_FACE)
+        else:
+            GL.glEnable(GL.GL_CULL_FACE)
+            GL.glCullFace(self._culled)
 
     def _draw_triangles(self, camera: NDArray[np.float64]) -> None:
         GL.glDrawElements(
@@ -126,7 +127,7 @@ class BoxesPrimitive(PaintingPrimitive):
         low, high = np.zeros(3), np.ones(3)
         corners, faces = _box(low, high)
         shaders = ("boxes.vert", "relief.frag")
-        super().__init__(corners, faces, material, shaders, uniforms=uniforms, cull=True)
+        super().__init__(corners, faces, material, shaders, uniforms=uniforms, culled=GL.GL_FRONT)
         field, boxes = copy.height_field, copy.relief.boxes
         left = field.origin_mm[0] + (boxes.corner[:, 1] - 0.5) * field.pitch_mm
         bottom = field.origin_mm[1] - (boxes.corner[:, 0] + boxes.size[:, 0] - 0.5) * field.pitch_mm
@@ -207,13 +208,18 @@ def painting_mesh(
     search: dict[str, Any] = {"linear_steps": 512, "binary_steps": 10}
     if mode is Mode.MESH:
         vertices, triangles = surface_triangles(copy)
-        parts = [PaintingPrimitive(vertices, triangles, material, ("plain.vert", "mesh.frag"))]
+        shaders = ("plain.vert", "mesh.frag")
+        parts = [PaintingPrimitive(vertices, triangles, material, shaders, culled=GL.GL_BACK)]
     elif mode is Mode.RELIEF:
         low, high = _bounds(copy)
         corners, faces = _box(low, high)
         search |= {"bounds_low": low, "bounds_high": high, "solid_sides": False}
         shaders = ("plain.vert", "relief.frag")
-        parts = [PaintingPrimitive(corners, faces, material, shaders, uniforms=search, cull=True)]
+        parts = [
+            PaintingPrimitive(
+                corners, faces, material, shaders, uniforms=search, culled=GL.GL_FRONT
+            )
+        ]
     else:
         parts = [_plane(copy, material)]
         if mode is not Mode.BUMP and len(copy.relief.boxes):

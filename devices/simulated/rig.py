@@ -48,12 +48,13 @@ class Sensor:
 
     def expose(
         self, electrons: NDArray[np.float64], random: np.random.Generator
-    ) -> NDArray[np.uint16]:
+    ) -> NDArray[np.uint8] | NDArray[np.uint16]:
         """Sensor numbers of expected electrons (rows, cols): photon and read noise, quantised."""
         caught = random.poisson(np.minimum(electrons, 4 * self.full_well_e)).astype(np.float64)
         caught += random.normal(0.0, self.read_noise_e, caught.shape)
         numbers = caught * self.ceiling / self.full_well_e + self.black_level
-        return np.clip(np.round(numbers), 0, self.ceiling).astype(np.uint16)
+        kind = np.uint8 if self.bits <= 8 else np.uint16
+        return np.clip(np.round(numbers), 0, self.ceiling).astype(kind)
 
 
 @dataclass(frozen=True)
@@ -205,7 +206,9 @@ class SimulatedProjector:
         self.blank()
 
 
-def demo_rig(*, seed: int = 0, camera_width: int = 800) -> SimulatedRig:
+def demo_rig(
+    *, seed: int = 0, camera_width: int = 800, sensor: Sensor | None = None
+) -> SimulatedRig:
     """The small rig of the demo: an oil painting of 120 × 90 mm in a frame, 450 mm away.
 
     Parameters
@@ -214,6 +217,7 @@ def demo_rig(*, seed: int = 0, camera_width: int = 800) -> SimulatedRig:
         Of painting and noise.
     camera_width : int
         Width of a frame; the height is three quarters of it.
+    sensor : Sensor, optional
     """
     camera = SimulatedLens.looking_at(
         width=camera_width,
@@ -232,7 +236,8 @@ def demo_rig(*, seed: int = 0, camera_width: int = 800) -> SimulatedRig:
         distortion=(-0.05, 0.03, -5e-4, 2e-4, 0.0),
         centre_shift=(6.0, 40.0),
     )
-    return SimulatedRig(paint_small_oil(seed=seed), camera, projector, seed=seed)
+    painting = paint_small_oil(seed=seed)
+    return SimulatedRig(painting, camera, projector, sensor=sensor, seed=seed)
 
 
 def _cast(

@@ -47,6 +47,15 @@ def test_the_same_seed_gives_the_same_frames_and_each_frame_its_own_noise():
     assert (frames[0][0] != frames[0][1]).mean() > 0.5
 
 
+def test_samples_have_the_type_of_their_depth():
+    random = np.random.default_rng(0)
+    for bits, kind in ((8, np.uint8), (10, np.uint16)):
+        sensor = Sensor(bits=bits)
+        image = sensor.expose(np.full((20, 20), 1e6), random)
+        assert image.dtype == kind
+        assert (image == sensor.ceiling).all()
+
+
 def test_photon_transfer_gives_gain_and_read_noise_back():
     sensor = Sensor(full_well_e=10_000, read_noise_e=12, bits=12)
     random = np.random.default_rng(0)

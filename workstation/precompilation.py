@@ -1,0 +1,26 @@
+"""Compile the numerical kernels once, at set-up, so that no first command waits for them.
+
+Run as ``python -m workstation.precompilation``.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from devices.simulated.rig import Sensor, demo_rig
+from workstation.demonstration import record_simulated_scan
+from workstation.processing import process_session
+
+
+def compile_kernels() -> None:
+    """Process a small simulated scan in each of the sample types that cameras deliver."""
+    for bits in (8, 12):
+        rig = demo_rig(camera_width=160, sensor=Sensor(bits=bits))
+        with TemporaryDirectory() as folder:
+            record_simulated_scan(rig, Path(folder) / "session")
+            process_session(Path(folder) / "session")
+
+
+if __name__ == "__main__":
+    compile_kernels()
