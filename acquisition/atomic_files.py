@@ -14,6 +14,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+# Part of every temporary name, so that what a killed process left can be told from real files.
+_MARK = ".in-progress-"
+
 
 def fsync_folder(folder: Path) -> None:
     """Flush a folder's entries, so that a rename inside it survives a power cut."""
@@ -31,10 +34,17 @@ def file_in_progress(destination: Path) -> Iterator[Path]:
     The temporary name keeps the destination's suffix, because image writers choose the format by
     it. On any error, interruption included, the temporary file is removed and ``destination`` is
     left as it was.
+
+    Raises
+    ------
+    FileNotFoundError
+        The folder of ``destination`` does not exist.
     """
     destination = Path(destination)
+    if not destination.parent.is_dir():
+        raise FileNotFoundError(f"{destination}: there is no folder {destination.parent}")
     descriptor, name = tempfile.mkstemp(
-        prefix=f".{destination.stem}.", suffix=destination.suffix, dir=destination.parent
+        prefix=f".{destination.stem}{_MARK}", suffix=destination.suffix, dir=destination.parent
     )
     os.close(descriptor)
     temporary = Path(name)
@@ -54,6 +64,13 @@ def write_bytes(destination: Path, content: bytes) -> None:
     """Write ``content`` to ``destination``, whole or not at all."""
     with file_in_progress(destination) as temporary:
         temporary.write_bytes(content)
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove the temporary files that a killed writer left in a folder or below it."""
+    for file in Path(folder).rglob(f".*{_MARK}*"):
+        if file.is_file():
+            file.unlink()
 
 
 @contextmanager
@@ -77,7 +94,7 @@ def folder_in_progress(destination: Path, *, replace: bool = False) -> Iterator[
         raise FileExistsError(f"{destination} exists already")
     destination.parent.mkdir(parents=True, exist_ok=True)
     temporary = Path(
-        tempfile.mkdtemp(prefix=f".{destination.name}.", dir=destination.parent.absolute())
+        tempfile.mkdtemp(prefix=f".{destination.name}{_MARK}", dir=destination.parent.absolute())
     )
     try:
         temporary.chmod(0o777 & ~_umask())
@@ -90,11 +107,11 @@ def folder_in_progress(destination: Path, *, replace: bool = False) -> Iterator[
 
 
 def _rename_folder(temporary: Path, destination: Path) -> None:
-    if not destination.exists():
+    if not destination.exists() or (destination.is_dir() and not any(destination.iterdir())):
         temporary.rename(destination)
         return
     # A folder cannot be renamed over a full one: step the old one aside, and back on failure.
-    aside = Path(tempfile.mkdtemp(prefix=f".{destination.name}.", dir=destination.parent))
+    aside = Path(tempfile.mkdtemp(prefix=f".{destination.name}{_MARK}", dir=destination.parent))
     destination.rename(aside / "old")
     try:
         temporary.rename(destination)

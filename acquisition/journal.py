@@ -1,13 +1,13 @@
 """The journal of a session: one line per event, appended and flushed before anything goes on.
 
-The last line may be torn by a crash and is then ignored; a torn line anywhere else means that the
-file was damaged later, and is refused.
+A line is written with its newline in one go, so a last line without one was torn by a crash: the
+event did not happen. A torn line anywhere else means that the file was damaged later, and is
+refused.
 """
 
 from __future__ import annotations
 
 import os
-from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Literal
@@ -26,7 +26,7 @@ class StopReason(StrEnum):
 
 
 class _Event(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     wall_time: float
     monotonic_s: float
 
@@ -85,7 +85,7 @@ def read_journal(path: Path) -> list[Start | FrameRecorded | Stop]:
             f"{path} is missing: this is not a session, or not a whole one"
         ) from None
     lines = content.split(b"\n")
-    torn = lines.pop()  # what follows the last newline
+    lines.pop()  # what follows the last newline: nothing, or a torn line
     events = []
     for number, line in enumerate(lines, start=1):
         try:
@@ -95,10 +95,6 @@ def read_journal(path: Path) -> list[Start | FrameRecorded | Stop]:
                 f"{path}, line {number}: torn or altered ({error.errors()[0]['msg']}); the session "
                 "was damaged after it was recorded, take it from a backup"
             ) from None
-    if torn:
-        # A crash in the middle of a line: the event did not happen.
-        with suppress(ValidationError):
-            events.append(_EVENT.validate_json(torn))
     return events
 
 

@@ -30,7 +30,7 @@ class Axis(StrEnum):
 
 
 class _Pattern(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class PhaseShift(_Pattern):

@@ -82,6 +82,19 @@ class Session:
         folder = self.path / CALIBRATION_FOLDER
         return folder if folder.is_dir() else None
 
+    def exposure_s(self, frame_id: str) -> float | None:
+        """Exposure time of a frame: as the camera reported it, else as asked for, else None.
+
+        Raises
+        ------
+        SessionError
+            The frame was not recorded.
+        """
+        applied = self._entry(frame_id).exposure_applied_s
+        if applied is not None:
+            return applied
+        return next(frame.exposure_s for frame in self.plan.frames if frame.id == frame_id)
+
     def read_frame(self, frame_id: str) -> Samples:
         """Sensor numbers of a frame.
 
@@ -94,9 +107,7 @@ class Session:
         SessionError
             The frame was not recorded, its file was altered, or it has another size than planned.
         """
-        if frame_id not in self.recorded:
-            raise SessionError(f"{self.path}: frame {frame_id} was not recorded")
-        entry = self.recorded[frame_id]
+        entry = self._entry(frame_id)
         file = self.path / entry.file
         try:
             content = file.read_bytes()
@@ -110,6 +121,11 @@ class Session:
         if image.shape != expected:
             raise SessionError(f"{file}: {image.shape}, the plan says {expected}")
         return image
+
+    def _entry(self, frame_id: str) -> FrameRecorded:
+        if frame_id not in self.recorded:
+            raise SessionError(f"{self.path}: frame {frame_id} was not recorded")
+        return self.recorded[frame_id]
 
 
 def read_plan(path: Path) -> Plan:
@@ -136,11 +152,14 @@ def frame_file(frame_id: str) -> str:
     return f"{FRAMES_FOLDER}/{frame_id}{SUFFIX}"
 
 
+def files_of_session(path: Path) -> set[str]:
+    """Every file below a session folder, by its path inside."""
+    return {file.relative_to(path).as_posix() for file in path.rglob("*") if file.is_file()}
+
+
 def manifest_text(path: Path) -> str:
     """Manifest of a session folder as it is: a digest and a path per line, sorted by path."""
-    files = [file for file in path.rglob("*") if file.is_file()]
-    names = sorted(file.relative_to(path).as_posix() for file in files)
-    covered = [name for name in names if name not in (JOURNAL_FILE, MANIFEST_FILE)]
+    covered = sorted(files_of_session(path) - {JOURNAL_FILE, MANIFEST_FILE})
     return "".join(
         f"{hashlib.sha256((path / name).read_bytes()).hexdigest()}  {name}\n" for name in covered
     )
@@ -158,7 +177,10 @@ def _read_manifest(file: Path) -> dict[str, str]:
     try:
         lines = file.read_text().splitlines()
     except FileNotFoundError:
-        raise SessionError(f"{file} is missing: the recording did not finish; resume it") from None
+        raise SessionError(
+            f"{file} is missing though the recording finished: the session was damaged, take it "
+            "from a backup"
+        ) from None
     except UnicodeDecodeError:
         raise SessionError(f"{file}: not a text file") from None
     entries = {}
@@ -182,8 +204,7 @@ def _check_files(
             raise SessionError(
                 f"{path / MANIFEST_FILE} and {path / JOURNAL_FILE} disagree about frame {frame.id}"
             )
-    there = {f.relative_to(path).as_posix() for f in path.rglob("*") if f.is_file()}
-    there -= {JOURNAL_FILE, MANIFEST_FILE}
+    there = files_of_session(path) - {JOURNAL_FILE, MANIFEST_FILE}
     missing, extra = sorted(set(manifest) - there), sorted(there - set(manifest))
     if missing:
         raise SessionError(f"{path / missing[0]} is missing ({len(missing)} files in all)")

@@ -7,12 +7,11 @@ recording cut off anywhere can be resumed and ends with the same manifest.
 from __future__ import annotations
 
 import hashlib
-import shutil
 import time
 from pathlib import Path
 from types import TracebackType
 
-from acquisition.atomic_files import write_bytes
+from acquisition.atomic_files import folder_in_progress, remove_leftovers, write_bytes
 from acquisition.errors import SessionError
 from acquisition.frame_files import Samples, encode_frame
 from acquisition.journal import (
@@ -60,7 +59,7 @@ class SessionWriter:
         rig_toml: str | None = None,
         calibration: Path | None = None,
     ) -> SessionWriter:
-        """Begin a session.
+        """Begin a session. Its folder appears with plan and journal in it, or not at all.
 
         Parameters
         ----------
@@ -81,13 +80,14 @@ class SessionWriter:
         path = Path(path)
         if path.exists() and (not path.is_dir() or any(path.iterdir())):
             raise SessionError(f"{path} exists already; choose another place, or resume it")
-        (path / FRAMES_FOLDER).mkdir(parents=True, exist_ok=True)
-        if rig_toml is not None:
-            write_bytes(path / RIG_FILE, rig_toml.encode())
-        if calibration is not None:
-            shutil.copytree(calibration, path / CALIBRATION_FOLDER)
-        write_bytes(path / PLAN_FILE, plan.model_dump_json(indent=1).encode())
-        append_event(path / JOURNAL_FILE, Start(**_now()))
+        with folder_in_progress(path, replace=True) as begun:
+            (begun / FRAMES_FOLDER).mkdir()
+            if rig_toml is not None:
+                write_bytes(begun / RIG_FILE, rig_toml.encode())
+            if calibration is not None:
+                _copy_files(calibration, begun / CALIBRATION_FOLDER)
+            write_bytes(begun / PLAN_FILE, plan.model_dump_json(indent=1).encode())
+            append_event(begun / JOURNAL_FILE, Start(**_now()))
         return cls(path, plan, {})
 
     @classmethod
@@ -112,10 +112,7 @@ class SessionWriter:
                 # A frame whose file was lost or altered since is taken again.
                 if file.is_file() and _sha256(file.read_bytes()) == event.sha256:
                     recorded[event.id] = event
-        kept = {path / entry.file for entry in recorded.values()}
-        for file in (path / FRAMES_FOLDER).iterdir():
-            if file not in kept:
-                file.unlink()
+        _remove_unacknowledged(path, recorded)
         append_event(path / JOURNAL_FILE, Start(**_now(), resumed=True))
         return cls(path, plan, recorded)
 
@@ -220,6 +217,25 @@ class SessionWriter:
     def _stop(self, reason: StopReason, why: str) -> None:
         append_event(self._path / JOURNAL_FILE, Stop(**_now(), reason=reason, why=why))
         self._open = False
+
+
+def _copy_files(source: Path, destination: Path) -> None:
+    """Copy a folder of files so that they are safe on the disk."""
+    destination.mkdir()
+    for file in sorted(source.iterdir()):
+        if file.is_file():
+            write_bytes(destination / file.name, file.read_bytes())
+
+
+def _remove_unacknowledged(path: Path, recorded: dict[str, FrameRecorded]) -> None:
+    """Remove what a killed recording left: temporary files, and frames not in the journal."""
+    remove_leftovers(path)
+    frames = path / FRAMES_FOLDER
+    frames.mkdir(exist_ok=True)
+    kept = {path / entry.file for entry in recorded.values()}
+    for file in frames.iterdir():
+        if file not in kept:
+            file.unlink()
 
 
 def _now() -> dict[str, float]:
