@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.digital_copy import DigitalCopy
+from render.errors import RenderError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,12 +20,25 @@ class AdaptiveOptions:
     K : float
         Scale of the ratio r = |IB| / |CI|.
     epsilon_min, epsilon_max : float
-        Below the first a box is not drawn, above the second it is opaque.
+        Where K r is below the first a box is not drawn, above the second it is opaque.
+
+    Raises
+    ------
+    RenderError
+        A negative K, or ε_min not below ε_max.
     """
 
     K: float = 1.0
     epsilon_min: float = 0.0005
     epsilon_max: float = 0.002
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.K) and self.K >= 0):
+            raise RenderError(f"K must be a number that is not negative, not {self.K}")
+        if not 0 <= self.epsilon_min < self.epsilon_max < np.inf:
+            raise RenderError(
+                f"0 ≤ ε_min < ε_max is needed, not {self.epsilon_min} and {self.epsilon_max}"
+            )
 
 
 def box_alpha(
@@ -57,10 +71,11 @@ def box_alpha(
         axis=1,
     )
     # B = I + s (I - C) on the plane, so r = |s|; a ray that never meets it is beyond any threshold.
-    above = highest[:, 2] - copy.relief.delta0_mm
+    above = np.maximum(highest[:, 2] - copy.relief.delta0_mm, 0.0)
     fall = np.asarray(camera, dtype=np.float64)[2] - highest[:, 2]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        r = np.where(fall > 0, above / fall, np.inf)
-    r = np.where(above <= 0, 0.0, r)
+    r = np.full(len(boxes), np.inf)
+    np.divide(above, fall, out=r, where=fall > 0)
+    # K = 0 asks for no box at all, whatever r is.
+    scaled = options.K * r if options.K > 0 else np.zeros(len(boxes))
     span = options.epsilon_max - options.epsilon_min
-    return np.asarray(np.clip((options.K * r - options.epsilon_min) / span, 0.0, 1.0))
+    return np.asarray(np.clip((scaled - options.epsilon_min) / span, 0.0, 1.0))

@@ -7,19 +7,44 @@ from here, so that the platform is chosen before pyrender looks for one.
 from __future__ import annotations
 
 import os
+from typing import Any
+
+from render.errors import RenderError
 
 os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
 os.environ.setdefault("PYGLET_HEADLESS", "true")
 
-import pyrender
-from OpenGL import GL
-
-from render.errors import RenderError
-
-__all__ = ["GL", "HeadlessContext", "pyrender"]
-
 _INSTALL = "install Debian's libegl1, libgl1 and libgl1-mesa-dri"
 _LEAST = (4, 1)
+
+# Without its libraries OpenGL's binding fails while it is imported, in several ways.
+try:
+    import pyrender
+    from OpenGL import EGL, GL
+    from OpenGL.error import Error as OpenGLError
+    from pyrender.platforms import egl
+except (ImportError, AttributeError, OSError) as error:
+    raise RenderError(
+        f"OpenGL's libraries cannot be loaded ({type(error).__name__}: {error}); {_INSTALL}"
+    ) from error
+
+__all__ = ["GL", "HeadlessContext", "OpenGLError", "pyrender"]
+
+
+class _Platform(egl.EGLPlatform):
+    """pyrender's EGL platform, whose end leaves the display to the other contexts on it."""
+
+    _egl_context: Any
+    _egl_display: Any
+
+    def delete_context(self) -> None:
+        if self._egl_context is None:
+            return
+        EGL.eglMakeCurrent(
+            self._egl_display, EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, EGL.EGL_NO_CONTEXT
+        )
+        EGL.eglDestroyContext(self._egl_display, self._egl_context)
+        self._egl_context = None
 
 
 class HeadlessContext:
@@ -33,10 +58,8 @@ class HeadlessContext:
 
     def __init__(self) -> None:
         try:
-            from pyrender.platforms import egl
-
             device = egl.get_device_by_index(int(os.environ.get("EGL_DEVICE_ID", "0")))
-            self._platform = egl.EGLPlatform(1, 1, device=device)
+            self._platform = _Platform(1, 1, device=device)
             self._platform.init_context()
             version = (GL.glGetIntegerv(GL.GL_MAJOR_VERSION), GL.glGetIntegerv(GL.GL_MINOR_VERSION))
         except Exception as error:  # EGL's binding raises a dozen types of its own
@@ -54,7 +77,7 @@ class HeadlessContext:
         self._platform.make_current()
 
     def close(self) -> None:
-        """Free the context."""
+        """Free the context; a second time does nothing."""
         self._platform.delete_context()
 
     def __enter__(self) -> HeadlessContext:

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from fitting.digital_copy import DigitalCopy
 from render.adaptive import AdaptiveOptions
 from render.errors import RenderError
-from render.opengl import HeadlessContext, pyrender
+from render.opengl import GL, HeadlessContext, OpenGLError, pyrender
+from render.painting_maps import PaintingMaterial
 from render.painting_node import Mode, painting_mesh
 from render.painting_renderer import PaintingRenderer
 from render.views import View, direction
@@ -34,6 +35,11 @@ class Light:
     strength : float
     ambient : float
         Radiance of the surroundings, the same from everywhere.
+
+    Raises
+    ------
+    RenderError
+        A value that is not finite, a distance that is not positive, a negative strength.
     """
 
     azimuth: float = float(np.deg2rad(135.0))
@@ -41,6 +47,14 @@ class Light:
     distance_mm: float | None = None
     strength: float = 1.0
     ambient: float = 0.06
+
+    def __post_init__(self) -> None:
+        if not np.isfinite([self.azimuth, self.elevation, self.strength, self.ambient]).all():
+            raise RenderError(f"a light needs finite numbers: {self}")
+        if self.distance_mm is not None and not 0 < self.distance_mm < np.inf:
+            raise RenderError(f"a light's distance must be positive, not {self.distance_mm} mm")
+        if min(self.strength, self.ambient) < 0:
+            raise RenderError(f"a light's strength is not negative: {self}")
 
 
 @dataclass(frozen=True)
@@ -54,7 +68,8 @@ class RenderedImage:
     coverage : (rows, cols) float32 array
         Share of each pixel that anything of the scene covers.
     depth_mm : (rows, cols) float32 array
-        Distance along the camera's axis at the pixel's centre; 0 where nothing is.
+        Distance along the camera's axis at the sample nearest to the pixel's centre; 0 where
+        nothing is.
     """
 
     radiance: NDArray[np.float32]
@@ -62,7 +77,9 @@ class RenderedImage:
     depth_mm: NDArray[np.float32]
 
     def encoded(self, *, exposure: float = 1.0) -> NDArray[np.uint8]:
-        """(rows, cols, 3) uint8 sRGB."""
+        """(rows, cols, 3) uint8 sRGB of the radiance times ``exposure``."""
+        if not 0 < exposure < np.inf:
+            raise RenderError(f"an exposure is a positive factor, not {exposure}")
         linear = np.clip(self.radiance * exposure, 0.0, 1.0)
         low = 12.92 * linear
         high = 1.055 * np.power(np.maximum(linear, 0.0031308), 1 / 2.4) - 0.055
@@ -71,6 +88,9 @@ class RenderedImage:
 
 class Painter:
     """Keeps an OpenGL context over many pictures; a context manager.
+
+    The copy painted last stays on the graphics card, so that another view of it costs no more than
+    its drawing.
 
     Parameters
     ----------
@@ -89,6 +109,8 @@ class Painter:
         self._supersampling = supersampling
         self._context = HeadlessContext()
         self._renderer = PaintingRenderer(1, 1)
+        self._material: tuple[DigitalCopy, PaintingMaterial] | None = None
+        self._mesh: tuple[Mode, AdaptiveOptions | None, pyrender.Mesh] | None = None
 
     def paint(
         self,
@@ -117,8 +139,15 @@ class Painter:
         Returns
         -------
         RenderedImage
+
+        Raises
+        ------
+        RenderError
+            A size that OpenGL cannot draw, or a copy that the mode cannot.
         """
-        scene = painting_scene(copy, view, mode, light or Light(), adaptive, width / height)
+        self._refuse_size(width, height)
+        mesh = self._kept_mesh(copy, mode, adaptive)
+        scene = painting_scene(copy, mesh, view, light or Light(), width / height)
         return self.paint_scene(scene, width=width, height=height)
 
     def paint_scene(self, scene: pyrender.Scene, *, width: int, height: int) -> RenderedImage:
@@ -127,15 +156,19 @@ class Painter:
         Raises
         ------
         RenderError
-            A size that OpenGL cannot draw.
+            A size or a scene that OpenGL cannot draw, or maps that give no finite radiance.
         """
+        self._refuse_size(width, height)
         n = self._supersampling
-        if not (0 < width * n <= 16384 and 0 < height * n <= 16384):
-            raise RenderError(f"a picture of {width}×{height} cannot be drawn")
-        self._context.make_current()
         self._renderer.viewport_width, self._renderer.viewport_height = width * n, height * n
-        rgba, depth = self._renderer.render(scene, pyrender.RenderFlags.OFFSCREEN)
-        fine = rgba.reshape(height, n, width, n, 4).astype(np.float64).mean(axis=(1, 3))
+        try:
+            rgba, depth = self._renderer.render(scene, pyrender.RenderFlags.OFFSCREEN)
+        except OpenGLError as error:
+            raise RenderError(
+                f"OpenGL cannot draw this at {width}×{height} ({error.__class__.__name__}: "
+                f"{getattr(error, 'description', error)}); try a smaller picture or a smaller copy"
+            ) from error
+        fine = rgba.reshape(height, n, width, n, 4).mean(axis=(1, 3))
         if not np.isfinite(fine).all():
             raise RenderError("the picture has values that are not finite; check the copy's maps")
         return RenderedImage(
@@ -143,6 +176,26 @@ class Painter:
             fine[..., 3].astype(np.float32),
             np.ascontiguousarray(depth[n // 2 :: n, n // 2 :: n]),
         )
+
+    def _refuse_size(self, width: int, height: int) -> None:
+        self._context.make_current()
+        largest = int(GL.glGetIntegerv(GL.GL_MAX_RENDERBUFFER_SIZE)) // self._supersampling
+        if not (0 < width <= largest and 0 < height <= largest):
+            raise RenderError(
+                f"a picture of {width}×{height} cannot be drawn; this OpenGL draws up to "
+                f"{largest}×{largest} at {self._supersampling}×{self._supersampling} samples"
+            )
+
+    def _kept_mesh(
+        self, copy: DigitalCopy, mode: Mode, adaptive: AdaptiveOptions | None
+    ) -> pyrender.Mesh:
+        if self._material is None or self._material[0] is not copy:
+            self._material = (copy, PaintingMaterial(copy))
+            self._mesh = None
+        if self._mesh is None or self._mesh[:2] != (mode, adaptive):
+            mesh = painting_mesh(copy, mode, adaptive=adaptive, material=self._material[1])
+            self._mesh = (mode, adaptive, mesh)
+        return self._mesh[2]
 
     def close(self) -> None:
         """Free the OpenGL context."""
@@ -158,16 +211,27 @@ class Painter:
 
 
 def painting_scene(
-    copy: DigitalCopy,
-    view: View,
-    mode: Mode,
-    light: Light,
-    adaptive: AdaptiveOptions | None,
-    aspect: float,
+    copy: DigitalCopy, mesh: pyrender.Mesh, view: View, light: Light, aspect: float
 ) -> pyrender.Scene:
-    """A scene of one copy, its camera and its light, in the canvas frame."""
+    """A scene in the canvas frame of one copy, its camera and its light.
+
+    Parameters
+    ----------
+    copy : DigitalCopy
+    mesh : pyrender.Mesh
+        The copy in one of the modes, from :func:`render.painting_node.painting_mesh`.
+    view : View
+    light : Light
+    aspect : float
+        Width of the picture over its height.
+
+    Returns
+    -------
+    pyrender.Scene
+        Other nodes may be added, frames and walls for example, in mm.
+    """
     scene = pyrender.Scene(bg_color=[*BACKGROUND, 0.0], ambient_light=[light.ambient] * 3)
-    scene.add(painting_mesh(copy, mode, adaptive=adaptive))
+    scene.add(mesh)
     extent = float(np.hypot(*copy.height_field.size_mm)) + sum(
         abs(h) for h in copy.height_field.height_range_mm
     )
@@ -179,7 +243,9 @@ def painting_scene(
         zfar=view.distance_mm + extent,
     )
     scene.add(camera, pose=view.pose())
-    away = light.distance_mm or 5 * max(copy.height_field.size_mm)
+    away = light.distance_mm
+    if away is None:
+        away = 5 * max(copy.height_field.size_mm)
     pose = np.eye(4)
     pose[:3, 3] = away * direction(light.azimuth, light.elevation)
     intensity = np.pi * light.strength * away**2

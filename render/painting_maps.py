@@ -53,21 +53,17 @@ class PaintingMaterial(pyrender.Material):
     def __init__(self, copy: DigitalCopy) -> None:
         super().__init__(name="painting", doubleSided=True)
         field = copy.height_field
-        relief = np.concatenate(
-            [
-                heights_without_cliffs(copy)[..., np.newaxis],
-                copy.normal_xy,
-                field.mask[..., np.newaxis].astype(np.float32),
-            ],
-            axis=2,
-        )
-        self.maps = {"relief_map": FloatTexture("relief", relief)}
+        surface = np.dstack([field.height, copy.normal_xy])
+        maps = {"relief_map": surface}
         if copy.reflectance is not None:
-            self.maps |= {
-                "diffuse_map": FloatTexture("diffuse", copy.reflectance.diffuse),
-                "specular_map": FloatTexture("specular", copy.reflectance.specular),
-                "lobe_map": FloatTexture("lobe", copy.reflectance.lobe),
+            maps |= {
+                "diffuse_map": copy.reflectance.diffuse,
+                "specular_map": copy.reflectance.specular,
+                "lobe_map": copy.reflectance.lobe,
             }
+        maps = gaps_from_nearest(maps, field.mask)
+        maps["relief_map"] = np.dstack([maps["relief_map"], field.mask.astype(np.float32)])
+        self.maps = {name: FloatTexture(name, values) for name, values in maps.items()}
         half = 0.5 * field.pitch_mm
         self.uniforms: dict[str, Any] = {
             "has_reflectance": copy.reflectance is not None,
@@ -89,17 +85,29 @@ class PaintingMaterial(pyrender.Material):
         return False
 
 
-def heights_without_cliffs(copy: DigitalCopy) -> NDArray[np.float32]:
-    """Heights with each gap at the height of the nearest measured texel, (rows, cols) mm.
+def gaps_from_nearest(
+    maps: dict[str, NDArray[np.float32]], mask: NDArray[np.bool_]
+) -> dict[str, NDArray[np.float32]]:
+    """Maps whose gaps have the values of the nearest measured texel.
 
-    Interpolation next to a gap then meets no cliff that is not there.
+    Interpolation next to a gap then meets no cliff, no edge and no value that was never measured.
+
+    Parameters
+    ----------
+    maps : dict of (rows, cols, channels) arrays
+    mask : (rows, cols) bool array
+        True where texels were measured; at least one is.
+
+    Returns
+    -------
+    dict of (rows, cols, channels) float32 arrays
     """
-    field = copy.height_field
-    if field.mask.all():
-        return field.height
+    if mask.all():
+        return dict(maps)
     _, labels = cv2.distanceTransformWithLabels(
-        (~field.mask).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
+        (~mask).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
     )
-    by_label = np.zeros(int(labels.max()) + 1, np.float32)
-    by_label[labels[field.mask]] = field.height[field.mask]
-    return np.asarray(by_label[labels], dtype=np.float32)
+    texel_of_label = np.zeros(int(labels.max()) + 1, np.int64)
+    texel_of_label[labels[mask]] = np.flatnonzero(mask)
+    nearest = texel_of_label[labels]
+    return {name: values.reshape(mask.size, -1)[nearest] for name, values in maps.items()}

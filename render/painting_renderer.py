@@ -7,15 +7,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from render.errors import RenderError
 from render.opengl import GL, pyrender
-from render.painting_node import PaintingPrimitive
-from render.shader_program import PaintingProgram
+from render.painting_primitive import PaintingPrimitive
+from render.shader_program import LinearProgramCache, PaintingProgram
 
 
 class PaintingRenderer(pyrender.renderer.Renderer):
     """pyrender's renderer with a linear float framebuffer and the painting's own programs.
 
-    Anything else in the scene is drawn by pyrender as ever, into the same depth buffer.
+    Anything else in the scene is drawn by pyrender's own shaders, into the same depth buffer and
+    linear too. It needs its context current, also when it is deleted.
     """
 
     _main_fb: Any
@@ -23,6 +25,7 @@ class PaintingRenderer(pyrender.renderer.Renderer):
 
     def __init__(self, viewport_width: int, viewport_height: int) -> None:
         super().__init__(viewport_width, viewport_height)
+        self._program_cache = LinearProgramCache()
         self._painting_programs: dict[tuple[str, str], PaintingProgram] = {}
 
     def delete(self) -> None:
@@ -31,6 +34,9 @@ class PaintingRenderer(pyrender.renderer.Renderer):
             program.delete()
         self._painting_programs = {}
         super().delete()
+
+    def __del__(self) -> None:
+        """Free nothing: whenever this is called, another context may be the current one."""
 
     def _get_primitive_program(self, primitive: Any, flags: int, program_flags: int) -> Any:
         if not isinstance(primitive, PaintingPrimitive):
@@ -47,6 +53,11 @@ class PaintingRenderer(pyrender.renderer.Renderer):
         if not isinstance(primitive, PaintingPrimitive):
             super()._bind_and_draw_primitive(primitive, pose, program, flags)
             return
+        if not np.allclose(pose[:3, :3].T @ pose[:3, :3], np.eye(3), atol=1e-6):
+            raise RenderError(
+                "a painting's node is scaled or sheared; a scene with paintings is in mm, and its "
+                "poses only turn and move"
+            )
         program.set_uniform("M", pose)
         for name, value in primitive.material.uniforms.items():
             program.set_uniform(name, value)
@@ -69,6 +80,8 @@ class PaintingRenderer(pyrender.renderer.Renderer):
             GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, buffer)
             GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, stored, *size)
             GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, attachment, GL.GL_RENDERBUFFER, buffer)
+        if GL.glCheckFramebufferStatus(GL.GL_FRAMEBUFFER) != GL.GL_FRAMEBUFFER_COMPLETE:
+            raise RenderError(f"this OpenGL cannot draw into {size[0]}×{size[1]} floats")
         # The forward pass draws into what it takes for the multisampled buffer.
         self._main_fb_ms = self._main_fb
         self._main_fb_dims = size

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from render.errors import RenderError
-from render.opengl import GL
+from render.opengl import GL, pyrender
 
 _VERSION = "#version 410 core\n"
+_SHADERS = Path(__file__).with_name("shaders")
+# The last line of pyrender 0.1.45's mesh.frag, and what a linear float framebuffer needs instead.
+_ENCODED = (
+    "frag_color = clamp(vec4(pow(color.xyz, vec3(1.0/2.2)), color.a * base_color.a), 0.0, 1.0);"
+)
+_LINEAR = "frag_color = vec4(color.xyz, color.a * base_color.a);"
 
 
 class PaintingProgram:
@@ -28,11 +34,10 @@ class PaintingProgram:
     """
 
     def __init__(self, vertex: str, fragment: str) -> None:
-        source = files("render") / "shaders"
-        shared = (source / "surface.glsl").read_text()
+        shared = (_SHADERS / "surface.glsl").read_text()
         parts = (
-            (GL.GL_VERTEX_SHADER, vertex, (source / vertex).read_text()),
-            (GL.GL_FRAGMENT_SHADER, fragment, shared + (source / fragment).read_text()),
+            (GL.GL_VERTEX_SHADER, vertex, (_SHADERS / vertex).read_text()),
+            (GL.GL_FRAGMENT_SHADER, fragment, shared + (_SHADERS / fragment).read_text()),
         )
         self._program = GL.glCreateProgram()
         for kind, name, text in parts:
@@ -78,3 +83,40 @@ class PaintingProgram:
     def delete(self) -> None:
         """Free the program."""
         GL.glDeleteProgram(self._program)
+
+
+class LinearProgram(pyrender.shader_program.ShaderProgram):
+    """A program of pyrender's own that leaves radiance linear and unclamped.
+
+    Raises
+    ------
+    RenderError
+        Another pyrender, whose shader ends otherwise.
+    """
+
+    def _load(self, shader_filename: str) -> str:
+        text: str = super()._load(shader_filename)
+        if Path(shader_filename).name != "mesh.frag":
+            return text
+        if _ENCODED not in text:
+            raise RenderError("this pyrender's mesh.frag is not that of 0.1.45; install 0.1.45")
+        return text.replace(_ENCODED, _LINEAR)
+
+
+class LinearProgramCache(pyrender.shader_program.ShaderProgramCache):
+    """pyrender's cache of programs, of :class:`LinearProgram`; one per OpenGL context."""
+
+    def get_program(
+        self,
+        vertex_shader: str,
+        fragment_shader: str,
+        geometry_shader: str | None = None,
+        defines: dict[str, Any] | None = None,
+    ) -> LinearProgram:
+        """A program by its shader files and definitions, made where it is new."""
+        names = (vertex_shader, fragment_shader, geometry_shader)
+        key = (*names, *sorted((defines or {}).items()))
+        if key not in self._program_cache:
+            paths = [None if name is None else str(Path(self.shader_dir) / name) for name in names]
+            self._program_cache[key] = LinearProgram(*paths, defines=defines)
+        return self._program_cache[key]

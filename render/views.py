@@ -31,8 +31,8 @@ _GRAZING_ELEVATION = np.deg2rad(15.0)
 _FRONT_ELEVATION = np.deg2rad(82.0)
 _BELOW = np.deg2rad(-90.0)
 # Share of the painting's width across the frame, close up; and distances in units of in shot.
-_NEAR_SHARE = 0.15
-_FAR_FACTOR = 8.0
+_NEAR_SHARE = 0.1
+_FAR_FACTOR = 10.0
 
 
 @dataclass(frozen=True)
@@ -59,6 +59,8 @@ class View:
             raise RenderError(f"the camera's distance must be positive, not {self.distance_mm} mm")
         if not (np.isfinite(self.azimuth) and abs(self.elevation) <= np.pi / 2 + 1e-9):
             raise RenderError("elevations run from -90° to 90°")
+        if not 0 < self.field_of_view < np.pi:
+            raise RenderError("the field of view lies between 0° and 180°")
 
     @property
     def position(self) -> NDArray[np.float64]:
@@ -68,12 +70,11 @@ class View:
     def pose(self) -> NDArray[np.float64]:
         """Camera to canvas, (4, 4), in OpenGL's camera axes (x right, y up, z backward)."""
         backward = direction(self.azimuth, self.elevation)
-        # Seen straight from the front the canvas's own top is up; else the normal or the top.
+        # The painting hangs: its top is up. Along the canvas's own vertical that says nothing,
+        # and the limit of grazing views there has the normal up from below, down from above.
         up = np.array([0.0, 1.0, 0.0])
-        if abs(backward @ up) > np.sin(np.deg2rad(60)):
-            up = np.array([0.0, 0.0, 1.0]) * (1.0 if backward[1] < 0 else -1.0)
-        if backward[1] < 0 and abs(backward[1]) > abs(backward[2]):
-            up = np.array([0.0, 0.0, 1.0]) + np.array([0.0, 1.0, 0.0])
+        if abs(backward[1]) > 1 - 1e-9:
+            up = np.array([0.0, 0.0, -np.sign(backward[1])])
         right = np.cross(up, backward)
         right /= np.linalg.norm(right)
         pose = np.eye(4)
@@ -93,8 +94,8 @@ def named_view(
 ) -> View:
     """One of the six views of a copy.
 
-    In shot the whole canvas fits the frame; near, a seventh of its width does; far, it is an
-    eighth of its size in shot.
+    In shot the whole canvas fits the frame; near, about a tenth of its width fills it, from above
+    the relief at least; far, it is a tenth of its size in shot.
 
     Parameters
     ----------

@@ -5,6 +5,11 @@ const float PI = 3.14159265358979;
 
 struct PointLight { vec3 color; float intensity; vec3 position; };
 struct DirectionalLight { vec3 color; float intensity; vec3 direction; };
+// The cone's fall-off is pyrender's: (cos angle · scale + offset)², between 0 and 1.
+struct SpotLight {
+    vec3 color; float intensity; vec3 position; vec3 direction;
+    float light_angle_scale; float light_angle_offset;
+};
 
 uniform sampler2D relief_map;    // height in mm, n_x, n_y, mask
 uniform sampler2D diffuse_map;
@@ -25,6 +30,8 @@ uniform int n_point_lights;
 uniform int n_directional_lights;
 uniform PointLight point_lights[MAX_LIGHTS];
 uniform DirectionalLight directional_lights[MAX_LIGHTS];
+uniform int n_spot_lights;
+uniform SpotLight spot_lights[MAX_LIGHTS];
 
 out vec4 frag_color;
 
@@ -53,6 +60,21 @@ vec3 ambient_reflectance(vec2 uv) {
     return has_reflectance ? texture(diffuse_map, uv).rgb : vec3(0.8 / PI);
 }
 
+// Radiance by a light at a place, with the intensity it has in this direction.
+vec3 lit_from(vec3 place, vec3 intensity, vec3 point, vec2 uv, vec3 v, mat3 to_local) {
+    vec3 to_light = to_canvas(place) - point;
+    float r2 = dot(to_light, to_light);
+    vec3 l = to_local * (to_light * inversesqrt(r2));
+    return reflectance(uv, v, l) * intensity * max(l.z, 0.0) / r2;
+}
+
+float cone(SpotLight light, vec3 point) {
+    vec3 from_light = normalize(point - to_canvas(light.position));
+    float cosine = clamp(dot(direction_to_canvas(light.direction), from_light), 0.0, 1.0);
+    float edge = clamp(cosine * light.light_angle_scale + light.light_angle_offset, 0.0, 1.0);
+    return edge * edge;
+}
+
 // Radiance leaving a surface point towards the camera; point and normal in the canvas frame.
 vec3 shade(vec3 point, vec2 uv) {
     vec2 nxy = texture(relief_map, uv).yz;
@@ -63,11 +85,13 @@ vec3 shade(vec3 point, vec2 uv) {
     vec3 v = to_local * normalize(to_canvas(cam_pos) - point);
     vec3 radiance = PI * ambient_reflectance(uv) * ambient_light;
     for (int i = 0; i < n_point_lights; ++i) {
-        vec3 to_light = to_canvas(point_lights[i].position) - point;
-        float r2 = dot(to_light, to_light);
-        vec3 l = to_local * (to_light * inversesqrt(r2));
-        vec3 irradiance = point_lights[i].color * point_lights[i].intensity * max(l.z, 0.0) / r2;
-        radiance += reflectance(uv, v, l) * irradiance;
+        vec3 intensity = point_lights[i].color * point_lights[i].intensity;
+        radiance += lit_from(point_lights[i].position, intensity, point, uv, v, to_local);
+    }
+    for (int i = 0; i < n_spot_lights; ++i) {
+        vec3 intensity = spot_lights[i].color * spot_lights[i].intensity;
+        intensity *= cone(spot_lights[i], point);
+        radiance += lit_from(spot_lights[i].position, intensity, point, uv, v, to_local);
     }
     for (int i = 0; i < n_directional_lights; ++i) {
         vec3 l = to_local * direction_to_canvas(-directional_lights[i].direction);

@@ -11,7 +11,8 @@ from render.adaptive import AdaptiveOptions, box_alpha
 from render.errors import RenderError
 from render.opengl import pyrender
 from render.painter import Light, Painter, painting_scene
-from render.painting_node import Mode, surface_triangles
+from render.painting_node import Mode, painting_mesh
+from render.surface_shapes import surface_triangles
 from render.views import NamedView, View, named_view, parse_view
 
 
@@ -194,7 +195,7 @@ def test_gaps_are_seen_through_and_other_nodes_compose_by_depth(painter, mode):
     mask[50:70, 70:90] = False
     copy = make_copy(strokes(), mask=mask)
     view = View(np.deg2rad(-90.0), np.deg2rad(89.0), 150.0)
-    scene = painting_scene(copy, view, mode, Light(), None, 4 / 3)
+    scene = painting_scene(copy, painting_mesh(copy, mode), view, Light(), 4 / 3)
     assert painter.paint_scene(scene, width=240, height=180).coverage[90, 120] == 0
 
     def board(z):
