@@ -114,8 +114,10 @@ class Session:
         except FileNotFoundError:
             raise SessionError(f"{file} is missing") from None
         if hashlib.sha256(content).hexdigest() != entry.sha256:
-            image_error = _altered(file, content)
-            raise SessionError(image_error)
+            raise SessionError(
+                f"{file}: truncated or altered since it was recorded (digest differs); take it "
+                "from a backup"
+            )
         image = decode_frame(content, path=file)
         expected = (self.plan.crop.height, self.plan.crop.width)
         if image.shape != expected:
@@ -163,14 +165,6 @@ def manifest_text(path: Path) -> str:
     return "".join(
         f"{hashlib.sha256((path / name).read_bytes()).hexdigest()}  {name}\n" for name in covered
     )
-
-
-def _altered(file: Path, content: bytes) -> str:
-    try:
-        decode_frame(content, path=file)
-    except SessionError as error:
-        return str(error)
-    return f"{file}: altered since it was recorded (digest differs); take it from a backup"
 
 
 def _read_manifest(file: Path) -> dict[str, str]:

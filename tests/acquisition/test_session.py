@@ -221,7 +221,7 @@ def test_the_calibration_in_force_goes_with_the_session(tmp_path, plan, frames):
 def test_a_truncated_frame_is_named(session):
     file = session / "frames" / "0002.png"
     file.write_bytes(file.read_bytes()[:60])
-    with pytest.raises(SessionError, match=r"0002\.png"):
+    with pytest.raises(SessionError, match=r"0002\.png: truncated"):
         Session.open(session).read_frame("0002")
 
 
