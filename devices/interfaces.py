@@ -22,7 +22,9 @@ class Frame:
     exposure_asked_s, exposure_applied_s : float
         What was asked for, and what the camera reports.
     monotonic_s, wall_time : float
-        When the exposure ended, on the monotonic and on the wall clock.
+        When the exposure ended, on the monotonic clock of this process and on the wall clock. A
+        frame whose exposure began before its pattern was shown is refused, so a driver gives the
+        time of the exposure, not the time at which it was asked for the frame.
     """
 
     image: NDArray[Any]
@@ -44,8 +46,21 @@ class Camera(Protocol):
     def saturation_level(self) -> int:
         """Sensor number at which samples saturate."""
 
-    def capture(self, exposure_s: float) -> Frame:
-        """Take one frame; DeviceError where the camera does not deliver."""
+    def capture(self, exposure_s: float, *, deadline: float | None = None) -> Frame:
+        """Take one frame, exposed after this call.
+
+        Parameters
+        ----------
+        exposure_s : float
+            Exposure time asked for.
+        deadline : float, optional
+            Time on the monotonic clock by which the frame must be there.
+
+        Raises
+        ------
+        DeviceError
+            The camera did not deliver, or not in time.
+        """
 
     def close(self) -> None:
         """Release the camera; harmless when closed already."""

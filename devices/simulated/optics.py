@@ -80,6 +80,8 @@ class SimulatedLens:
 
     def project(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Pixels (n, 2) of canvas points (n, 3)."""
+        if len(points) == 0:
+            return np.empty((0, 2))
         rodrigues = cv2.Rodrigues(self.rotation)[0]
         pixels, _ = cv2.projectPoints(
             points, rodrigues, self.translation, self.matrix, self.distortion

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.errors import DeviceError
+from devices.simulated.ray_kernels import look_up
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,21 @@ class Painting:
         top = (1 - u) * z[r, c] + u * z[r, c + 1]
         bottom = (1 - u) * z[r + 1, c] + u * z[r + 1, c + 1]
         return np.asarray((1 - v) * top + v * bottom)
+
+    def surface_at(
+        self, x: NDArray[np.float64], y: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Unit normals (n, 3) and albedo (n,) at canvas coordinates (n,) in mm; truth for tests."""
+        rows, cols = self.height.shape
+        slope_y, slope_x = np.gradient(self.height, self.pitch_mm)
+        at = np.stack(
+            [x / self.pitch_mm + (cols - 1) / 2, (rows - 1) / 2 - y / self.pitch_mm], axis=1
+        )
+        # Rows run down, so the gradient along them is minus the slope along Y.
+        slope = [look_up(g.astype(np.float32), at) for g in (slope_x, -slope_y)]
+        normal = np.stack([-slope[0], -slope[1], np.ones(len(at))], axis=1)
+        albedo = look_up(self.albedo.astype(np.float32), at)
+        return normal / np.linalg.norm(normal, axis=1, keepdims=True), albedo
 
 
 def paint_small_oil(

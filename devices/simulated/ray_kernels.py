@@ -44,7 +44,8 @@ def cast_rays(
         start = max(0.0, (high - origin[2]) / dz)
         end = (low - origin[2]) / dz
         lateral = math.sqrt(dx * dx + dy * dy)
-        step = min(pitch / max(lateral, 1e-9), (end - start) / 8)
+        # A flat scene leaves nothing between start and end: step a cell through it.
+        step = min(pitch / max(lateral, 1e-9), max((end - start) / 8, pitch))
         before = start
         t = start
         while t < end + step:

@@ -149,6 +149,7 @@ class SimulatedCamera:
         self._rig = rig
         self._sequence = 0
         self._closed = False
+        self._ended = 0.0
 
     @property
     def size(self) -> tuple[int, int]:
@@ -160,17 +161,33 @@ class SimulatedCamera:
         """Largest sensor number."""
         return self._rig.sensor.ceiling
 
-    def capture(self, exposure_s: float) -> Frame:
-        """Take one frame of what the projector shows now."""
+    def capture(self, exposure_s: float, *, deadline: float | None = None) -> Frame:
+        """Take one frame of what the projector shows now.
+
+        Nobody waits for a simulated exposure: the frame says when it would have ended.
+
+        Raises
+        ------
+        DeviceError
+            The camera is closed, the exposure is not positive, or the deadline has passed.
+        """
         if self._closed:
             raise DeviceError("the simulated camera is closed")
         if not exposure_s > 0:
             raise DeviceError(f"an exposure must be positive, not {exposure_s} s")
+        began = max(time.monotonic(), self._ended)
         self._sequence += 1
         image = self._rig.sensor.expose(
             self._rig.electrons(exposure_s), self._rig.noise_of_frame(self._sequence)
         )
-        return Frame(image, self._sequence, exposure_s, exposure_s, time.monotonic(), time.time())
+        now = time.monotonic()
+        if deadline is not None and now > deadline:
+            raise DeviceError(
+                f"the simulated camera delivered {now - deadline:.1f} s after its deadline"
+            )
+        self._ended = began + exposure_s
+        wall_time = time.time() + self._ended - now
+        return Frame(image, self._sequence, exposure_s, exposure_s, self._ended, wall_time)
 
     def close(self) -> None:
         """Release the camera."""
@@ -182,6 +199,7 @@ class SimulatedProjector:
 
     def __init__(self, rig: SimulatedRig) -> None:
         self._rig = rig
+        self._closed = False
 
     @property
     def size(self) -> tuple[int, int]:
@@ -190,6 +208,8 @@ class SimulatedProjector:
 
     def show(self, image: NDArray[np.uint8]) -> None:
         """Show a picture of the panel's size."""
+        if self._closed:
+            raise DeviceError("the simulated projector is closed")
         if image.shape != self.size[::-1] or image.dtype != np.uint8:
             raise DeviceError(
                 f"the panel shows 8-bit pictures of {self.size[0]}×{self.size[1]}, not "
@@ -204,6 +224,7 @@ class SimulatedProjector:
     def close(self) -> None:
         """Blank the panel."""
         self.blank()
+        self._closed = True
 
 
 def demo_rig(
@@ -255,7 +276,7 @@ def _cast(
     at = points[seen]
     panel[seen] = projector.project(at)
     lit = lit_from(painting.height, painting.pitch_mm, at, lamp, high, 1e-6)
-    normal, albedo = _surface_at(painting, at)
+    normal, albedo = painting.surface_at(at[:, 0], at[:, 1])
     to_lamp = lamp - at
     reach = np.linalg.norm(to_lamp, axis=1)
     light = to_lamp / reach[:, np.newaxis]
@@ -269,23 +290,3 @@ def _cast(
     shading[seen] = lit * fall_off * cosine * (albedo + gloss * beckmann)
     shape = (camera.height, camera.width)
     return SceneTruth(points.reshape(*shape, 3), panel.reshape(*shape, 2), shading.reshape(shape))
-
-
-def _surface_at(
-    painting: Painting, points: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Unit normals (n, 3) and albedo (n,) at surface points."""
-    rows, cols = painting.height.shape
-    slope_y, slope_x = np.gradient(painting.height, painting.pitch_mm)
-    at = np.stack(
-        [
-            points[:, 0] / painting.pitch_mm + (cols - 1) / 2,
-            (rows - 1) / 2 - points[:, 1] / painting.pitch_mm,
-        ],
-        axis=1,
-    )
-    # Rows run down, so the gradient along them is minus the slope along Y.
-    slope = [look_up(g.astype(np.float32), at) for g in (slope_x, -slope_y)]
-    normal = np.stack([-slope[0], -slope[1], np.ones(len(at))], axis=1)
-    albedo = look_up(painting.albedo.astype(np.float32), at)
-    return normal / np.linalg.norm(normal, axis=1, keepdims=True), albedo

@@ -88,10 +88,10 @@ class Stuttering:
     def __getattr__(self, name):
         return getattr(self._camera, name)
 
-    def capture(self, exposure_s):
+    def capture(self, exposure_s, *, deadline=None):
         self._count += 1
         if self._count != 4:
-            self._last = self._camera.capture(exposure_s)
+            self._last = self._camera.capture(exposure_s, deadline=deadline)
         return self._last
 
 

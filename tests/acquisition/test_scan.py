@@ -1,0 +1,195 @@
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from acquisition.decoding import decode
+from acquisition.errors import SessionError
+from acquisition.patterns import Axis, Gray, PhaseShift, pattern_image
+from acquisition.scan import plan_scan, scan
+from acquisition.scan_plan import plan_structured_light
+from acquisition.session import Session
+from acquisition.session_writer import SessionWriter
+from devices.errors import DeviceError
+from devices.simulated.rig import demo_rig
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return demo_rig(seed=3, camera_width=120)
+
+
+class Wrapped:
+    """A device with one habit changed."""
+
+    def __init__(self, device):
+        self._device = device
+
+    def __getattr__(self, name):
+        return getattr(self._device, name)
+
+
+class Lagging(Wrapped):
+    """A camera whose driver hands out the frame before, properly counted."""
+
+    def __init__(self, camera):
+        super().__init__(camera)
+        self._held = camera.capture(0.03)
+
+    def capture(self, exposure_s, *, deadline=None):
+        given, self._held = self._held, self._device.capture(exposure_s, deadline=deadline)
+        return given
+
+
+class Frozen(Wrapped):
+    """A camera that counts on but shows its first picture for ever."""
+
+    first = None
+
+    def capture(self, exposure_s, *, deadline=None):
+        frame = self._device.capture(exposure_s, deadline=deadline)
+        self.first = frame.image if self.first is None else self.first
+        return replace(frame, image=self.first)
+
+
+class Failing(Wrapped):
+    """A camera that is unplugged after five frames."""
+
+    count = 0
+
+    def capture(self, exposure_s, *, deadline=None):
+        self.count += 1
+        if self.count > 5:
+            raise KeyboardInterrupt
+        return self._device.capture(exposure_s, deadline=deadline)
+
+
+class Resized(Wrapped):
+    """A projector with another panel."""
+
+    size = (640, 400)
+
+
+class Deeper(Wrapped):
+    """A camera in another pixel format."""
+
+    saturation_level = 4095
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda rig: (Lagging(rig.camera), rig.projector), "frame 0000 is stale"),
+        (lambda rig: (Frozen(rig.camera), rig.projector), "frame 0001 is frame 0000 over again"),
+        (lambda rig: (rig.camera, Resized(rig.projector)), "912×570 pixels, this one has 640×400"),
+        (lambda rig: (Deeper(rig.camera), rig.projector), "saturates at 1023, this one does at 40"),
+    ],
+)
+def test_a_scan_that_would_record_other_than_planned_is_refused(rig, tmp_path, change, message):
+    camera, projector = change(rig)
+    plan = plan_scan(rig.camera, rig.projector, exposure_s=0.03)
+    with (
+        pytest.raises(DeviceError, match=message),
+        SessionWriter.create(tmp_path / "s", plan) as writer,
+    ):
+        scan(writer, camera, projector)
+
+
+def test_an_interrupted_scan_leaves_the_projector_dark_and_can_go_on(rig, tmp_path):
+    plan = plan_scan(rig.camera, rig.projector, exposure_s=0.03)
+    with (
+        pytest.raises(KeyboardInterrupt),
+        SessionWriter.create(tmp_path / "s", plan) as writer,
+    ):
+        scan(writer, Failing(rig.camera), rig.projector)
+    bright = rig.electrons(0.03).max()
+    rig.projector.show(np.full((570, 912), 255, np.uint8))
+    assert bright < 0.01 * rig.electrons(0.03).max()
+    with SessionWriter.resume(tmp_path / "s") as writer:
+        assert writer.missing[0] == "0005"
+        scan(writer, rig.camera, rig.projector)
+    assert len(Session.open(tmp_path / "s").recorded) == len(plan.frames)
+
+
+def test_a_missed_deadline_is_a_device_error(rig):
+    with pytest.raises(DeviceError, match="after its deadline"):
+        rig.camera.capture(0.03, deadline=time.monotonic() - 1)
+
+
+def test_devices_refuse_to_work_once_closed():
+    rig = demo_rig(seed=3, camera_width=40)
+    rig.camera.close()
+    rig.projector.close()
+    rig.projector.blank()
+    with pytest.raises(DeviceError, match="camera is closed"):
+        rig.camera.capture(0.03)
+    with pytest.raises(DeviceError, match="projector is closed"):
+        rig.projector.show(np.zeros((570, 912), np.uint8))
+
+
+def _plan(**changed):
+    return plan_structured_light(
+        **{
+            "camera_size": (80, 60),
+            "projector_size": (912, 570),
+            "saturation_level": 1023,
+            "exposure_s": 0.03,
+            **changed,
+        }
+    )
+
+
+@pytest.mark.parametrize("periods", [(24.0,), (96.0, 19.0), (912.0, 151.0, 25.0), (7.5,)])
+@pytest.mark.parametrize("axes", [(Axis.COLUMN,), (Axis.COLUMN, Axis.ROW)])
+def test_every_panel_pixel_comes_back_from_the_patterns_of_a_plan(periods, axes):
+    """A camera that is the panel itself: coordinates are known."""
+    width, height = 912, 12
+    plan = _plan(
+        camera_size=(width, height), projector_size=(width, 570), periods_px=periods, axes=axes
+    )
+    frames = {
+        f.id: pattern_image(f.pattern, width=width, height=570)[200 : 200 + height].astype("u2")
+        for f in plan.frames
+    }
+    found = decode(plan, frames.__getitem__)
+    truth = {
+        Axis.COLUMN: np.broadcast_to(np.arange(width), (height, width)),
+        Axis.ROW: np.broadcast_to(np.arange(200, 200 + height)[:, None], (height, width)),
+    }
+    assert set(found.axes) == set(axes)
+    for axis, decoded in found.axes.items():
+        error = np.abs(decoded.coordinate - truth[axis])[:, 1:-1]
+        # Grey levels of the pattern are rounded: 0.29/127.5·√(2/8) rad, five times over.
+        assert np.nanmax(error) < 5 * 0.0012 * min(periods) / (2 * np.pi)
+        assert np.isfinite(error).mean() > 0.99
+
+
+def test_gray_code_is_planned_only_where_no_fringe_covers_the_panel():
+    mixed = _plan(periods_px=(24.0, 600.0))
+    gray = {f.pattern.axis for f in mixed.frames if isinstance(f.pattern, Gray)}
+    assert gray == {Axis.COLUMN}
+    fringes = [f.pattern for f in mixed.frames if isinstance(f.pattern, PhaseShift)]
+    assert len(fringes) == 2 * 2 * 8
+    assert len({f.id for f in mixed.frames}) == len(mixed.frames)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"steps": 2}, "three or more"),
+        ({"exposure_s": 0.0}, "positive"),
+        ({"exposure_s": float("nan")}, "positive"),
+        ({"axes": ()}, "each axis once"),
+        ({"axes": (Axis.ROW, Axis.ROW)}, "each axis once"),
+        ({"periods_px": ()}, "fringe period"),
+        ({"periods_px": (24.0, 24.0)}, "only once"),
+        ({"periods_px": (1.5,)}, "cannot be shown"),
+        ({"periods_px": (float("inf"),)}, "cannot be shown"),
+    ],
+)
+def test_what_cannot_be_shown_or_decoded_is_not_planned(changed, message):
+    with pytest.raises(SessionError, match=message):
+        _plan(**changed)
