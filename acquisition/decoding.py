@@ -333,9 +333,10 @@ def _absolute(
     """Coordinate of the finest fringe of one axis, its variance, and where orders contradict."""
     axis = fitted[0].fringe.axis
     extent = plan.projector.width if axis is Axis.COLUMN else plan.projector.height
-    coarse = _gray_coordinate(axis, plan, read_frame, fitted[-1].ambient)
+    first_period = fitted[0].fringe.period_px
+    coarse = _gray_coordinate(axis, plan, read_frame, fitted[-1].ambient, first_period)
     if coarse is None:
-        longest = fitted[0].fringe.period_px
+        longest = first_period
         if longest < extent - 1:
             raise DecodingError(
                 f"nothing tells the fringe order of the {axis}s: the longest period is "
@@ -367,7 +368,11 @@ def _absolute(
 
 
 def _gray_coordinate(
-    axis: Axis, plan: Plan, read_frame: ReadFrame, ambient: NDArray[np.float32]
+    axis: Axis,
+    plan: Plan,
+    read_frame: ReadFrame,
+    ambient: NDArray[np.float32],
+    period_px: float,
 ) -> _Coarse | None:
     """Centre of every pixel's Gray cell, or None where the plan has no Gray code of this axis."""
     bits: dict[int, PlannedFrame] = {}
@@ -396,8 +401,9 @@ def _gray_coordinate(
     return _Coarse(
         (cell + (0.5 - offset)) * step_px,
         np.zeros(cell.shape, np.float32),
-        # A blurred edge is read one cell too far: half a cell more is not a contradiction.
-        step_px,
+        # Half a cell, and room for blurred edges and harmonics, but less than half a period, at
+        # which nothing would contradict anything.
+        min(0.5 * step_px + period_px / 8, 0.45 * period_px),
         np.zeros(cell.shape, np.bool_),
     )
 
