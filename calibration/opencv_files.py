@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
@@ -9,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.atomic_files import file_in_progress
-from acquisition.foreign_capture import CalibrationDescription, Direction
+from acquisition.capture_description import CalibrationDescription, Direction
 from acquisition.plan import Imager
 from calibration.errors import CalibrationError
 from calibration.lens import Lens, invert, rt_from_matrix
@@ -38,28 +40,38 @@ def read_matrices(path: Path, names: list[str]) -> dict[str, NDArray[np.float64]
     path = Path(path)
     if not path.is_file():
         raise CalibrationError(f"{path}: no such calibration file")
-    try:
-        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-        root = storage.root()
-        keys = root.keys() if storage.isOpened() and not root.empty() else []
-        matrices = {}
+    with _opened(path) as storage:
+        keys = storage.root().keys() if not storage.root().empty() else []
         for name in names:
             if name not in keys:
                 raise CalibrationError(
                     f"{path}: no matrix {name!r}; the file has {', '.join(keys) or 'nothing'}"
                 )
-            matrix = storage.getNode(name).mat()
-            if matrix is None or not np.isfinite(matrix).all():
-                raise CalibrationError(f"{path}: {name!r} is not a matrix of finite numbers")
-            matrices[name] = np.asarray(matrix, dtype=np.float64)
-    except cv2.error as error:
-        raise CalibrationError(f"{path}: not a calibration file ({error.err})") from None
-    except SystemError:
-        raise CalibrationError(f"{path}: not an OpenCV YAML or XML file") from None
+        return {name: _matrix(storage, name, path) for name in names}
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[cv2.FileStorage]:
+    try:
+        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+        storage.root().keys()
+    except (cv2.error, SystemError):
+        # OpenCV's binding turns errors of its constructor into a bare SystemError.
+        raise CalibrationError(f"{path}: not an OpenCV YAML, XML or JSON file") from None
+    try:
+        yield storage
     finally:
-        if "storage" in locals():
-            storage.release()
-    return matrices
+        storage.release()
+
+
+def _matrix(storage: cv2.FileStorage, name: str, path: Path) -> NDArray[np.float64]:
+    try:
+        matrix = storage.getNode(name).mat()
+    except cv2.error as error:
+        raise CalibrationError(f"{path}: {name!r} is not a whole matrix ({error.err})") from None
+    if matrix is None or matrix.ndim != 2 or not np.isfinite(matrix).all():
+        raise CalibrationError(f"{path}: {name!r} is not a matrix of finite numbers")
+    return np.asarray(matrix, dtype=np.float64)
 
 
 def write_matrices(path: Path, matrices: dict[str, NDArray[np.float64]]) -> None:
@@ -108,13 +120,16 @@ def read_rig_geometry(
     pose = rt_from_matrix(left @ right, translation.ravel())
     if names.pose is Direction.PROJECTOR_TO_CAMERA:
         pose = invert(pose)
-    lenses = [
-        Lens.from_opencv(
-            matrices[matrix], matrices[distortion], width=size.width, height=size.height
-        )
-        for matrix, distortion, size in (
-            (names.camera_matrix, names.camera_distortion, camera),
-            (names.projector_matrix, names.projector_distortion, projector),
-        )
-    ]
-    return RigGeometry(lenses[0], lenses[1], pose)
+    try:
+        lenses = [
+            Lens.from_opencv(
+                matrices[matrix], matrices[distortion], width=size.width, height=size.height
+            )
+            for matrix, distortion, size in (
+                (names.camera_matrix, names.camera_distortion, camera),
+                (names.projector_matrix, names.projector_distortion, projector),
+            )
+        ]
+        return RigGeometry(lenses[0], lenses[1], pose)
+    except CalibrationError as error:
+        raise CalibrationError(f"{path}: {error}") from None

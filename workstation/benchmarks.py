@@ -57,7 +57,8 @@ def bench_surface(*, seeds: int = 3) -> list[Record]:
 
 
 def _relief_noise(capture: Path) -> Record:
-    from acquisition.foreign_capture import find_capture, read_description, record_capture
+    from acquisition.capture_description import read_description
+    from acquisition.foreign_capture import find_capture, record_capture
     from calibration.opencv_files import read_rig_geometry
 
     fixtures = Path(__file__).parents[1] / "fixtures" / "captures"

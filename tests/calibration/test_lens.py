@@ -4,41 +4,16 @@ import cv2
 import numpy as np
 import pytest
 
-from acquisition.foreign_capture import CalibrationDescription, Direction
-from acquisition.plan import Imager
 from calibration.errors import CalibrationError
-from calibration.lens import Lens, compose, invert, rotation, transform
-from calibration.opencv_files import read_matrices, read_rig_geometry, write_matrices
-from calibration.rig_geometry import RigGeometry
-
-NAMES = CalibrationDescription(
-    file="c.yml",
-    camera_matrix="K",
-    camera_distortion="D",
-    projector_matrix="KP",
-    projector_distortion="DP",
-    rotation="R",
-    translation="T",
-)
+from calibration.lens import Lens, compose, invert, rotation, rt_from_matrix, transform
 
 
-@pytest.fixture
-def matrices(rig_geometry):
-    def parts(lens):
-        fx, fy, cx, cy = lens.intrinsics[:4]
-        return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), lens.intrinsics[4:]
-
-    camera, projector = parts(rig_geometry.camera), parts(rig_geometry.projector)
-    pose = rig_geometry.rt_proj_cam
-    return {
-        "K": camera[0], "D": camera[1], "KP": projector[0], "DP": projector[1],
-        "R": rotation(pose), "T": pose[3:].reshape(3, 1),
-    }  # fmt: skip
-
-
-def test_projection_agrees_with_opencv(rig_geometry, matrices):
+def test_projection_agrees_with_opencv(rig_geometry):
     points = np.random.default_rng(0).uniform([-60, -40, 380], [60, 40, 500], (200, 3))
-    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrices["K"], matrices["D"])
+    fx, fy, cx, cy = rig_geometry.camera.intrinsics[:4]
+    matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    distortion = rig_geometry.camera.intrinsics[4:]
+    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, distortion)
     np.testing.assert_allclose(rig_geometry.camera.project(points), expected[:, 0], atol=1e-9)
 
 
@@ -67,57 +42,31 @@ def test_poses_compose_as_their_names_say():
     np.testing.assert_allclose(transform(invert(rt_a_b), transform(rt_a_b, points)), points)
 
 
-def test_geometry_survives_the_disk(rig_geometry, tmp_path):
-    rig_geometry.save(tmp_path)
-    loaded = RigGeometry.load(tmp_path)
-    np.testing.assert_allclose(loaded.rt_proj_cam, rig_geometry.rt_proj_cam, atol=1e-9)
-    for one, other in (
-        (loaded.camera, rig_geometry.camera),
-        (loaded.projector, rig_geometry.projector),
-    ):
-        assert (one.model, one.width, one.height) == (other.model, other.width, other.height)
-        np.testing.assert_allclose(one.intrinsics, other.intrinsics, atol=1e-9)
+def test_rotations_agree_with_opencv():
+    vector = np.array([0.3, -0.8, 0.5])
+    matrix, _ = cv2.Rodrigues(vector)
+    np.testing.assert_allclose(rotation(np.append(vector, [0.0, 0, 0])), matrix, atol=1e-12)
+    np.testing.assert_allclose(rt_from_matrix(matrix, np.ones(3)), np.append(vector, [1.0, 1, 1]))
 
 
-@pytest.mark.parametrize("suffix", ["yml", "xml"])
-def test_opencv_files_are_read_as_written(matrices, rig_geometry, tmp_path, suffix):
-    path = tmp_path / f"c.{suffix}"
-    write_matrices(path, matrices)
-    for name, matrix in read_matrices(path, list(matrices)).items():
-        np.testing.assert_array_equal(matrix.ravel(), np.ravel(matrices[name]))
-    sizes = {"camera": Imager(width=320, height=240), "projector": Imager(width=512, height=320)}
-    geometry = read_rig_geometry(path, NAMES, **sizes)
-    np.testing.assert_allclose(geometry.rt_proj_cam, rig_geometry.rt_proj_cam, atol=1e-9)
-    other_way = read_rig_geometry(
-        path, NAMES.model_copy(update={"pose": Direction.PROJECTOR_TO_CAMERA}), **sizes
-    )
-    np.testing.assert_allclose(invert(other_way.rt_proj_cam), rig_geometry.rt_proj_cam, atol=1e-9)
-
-
-def test_a_matrix_that_is_not_there_is_named_with_those_that_are(matrices, tmp_path):
-    del matrices["KP"]
-    write_matrices(tmp_path / "c.yml", matrices)
-    with pytest.raises(
-        CalibrationError, match=r"c\.yml: no matrix 'KP'; the file has K, D, DP, R, T"
-    ):
-        read_matrices(tmp_path / "c.yml", ["K", "KP"])
+def test_the_number_of_coefficients_chooses_the_model():
+    matrix = np.array([[900.0, 0, 160], [0, 910, 120], [0, 0, 1]])
+    for count, model in ((0, "PINHOLE"), (4, "OPENCV4"), (8, "OPENCV8"), (12, "OPENCV12")):
+        lens = Lens.from_opencv(matrix, np.full(count, 0.01), width=320, height=240)
+        assert lens.model == f"LENSMODEL_{model}"
+        np.testing.assert_array_equal(lens.focal_px, [900, 910])
 
 
 @pytest.mark.parametrize(
-    "content", ["", "not a calibration", "%YAML:1.0\n---\nK: 3\n", "<?xml version"]
+    ("matrix", "distortion", "message"),
+    [
+        (np.eye(2), np.zeros(5), "3×3"),
+        (np.eye(3), np.zeros(6), "6 distortion coefficients"),
+        (np.array([[1.0, 0.1, 0], [0, 1, 0], [0, 0, 1]]), np.zeros(5), "skew"),
+        (np.diag([-1.0, 1, 1]), np.zeros(5), "focal"),
+        (np.eye(3), np.array([0, 0, np.nan, 0, 0]), "not finite"),
+    ],
 )
-def test_other_files_are_refused(tmp_path, content):
-    (tmp_path / "c.yml").write_text(content)
-    with pytest.raises(CalibrationError, match=r"c\.yml"):
-        read_matrices(tmp_path / "c.yml", ["K"])
-
-
-def test_calibrations_that_make_no_sense_are_refused(rig_geometry, tmp_path):
-    with pytest.raises(CalibrationError, match="no such"):
-        read_matrices(tmp_path / "missing.yml", ["K"])
-    with pytest.raises(CalibrationError, match="baseline"):
-        RigGeometry(rig_geometry.camera, rig_geometry.projector, np.zeros(6))
-    with pytest.raises(CalibrationError, match="no rig calibration"):
-        RigGeometry.load(tmp_path)
-    with pytest.raises(CalibrationError, match="focal"):
-        Lens("LENSMODEL_PINHOLE", np.array([-1.0, 1, 0, 0]), 10, 10)
+def test_lenses_that_are_none_are_refused(matrix, distortion, message):
+    with pytest.raises(CalibrationError, match=message):
+        Lens.from_opencv(matrix, distortion, width=10, height=10)

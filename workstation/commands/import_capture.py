@@ -28,9 +28,12 @@ def import_capture(
 
         impasto import photos/ --capture capture.toml --out session/
     """
+    import shutil
+
     from acquisition.atomic_files import folder_in_progress
+    from acquisition.capture_description import read_description
     from acquisition.errors import SessionError
-    from acquisition.foreign_capture import find_capture, read_description, record_capture
+    from acquisition.foreign_capture import find_capture, record_capture
     from acquisition.session import Session
     from calibration.opencv_files import read_rig_geometry
     from workstation.json_output import write_json
@@ -38,10 +41,11 @@ def import_capture(
 
     description = read_description(capture)
     found = find_capture(folder, description)
-    rig = None
+    rig = original = None
     if description.calibration is not None:
+        original = folder / description.calibration.file
         rig = read_rig_geometry(
-            folder / description.calibration.file,
+            original,
             description.calibration,
             camera=description.camera,
             projector=description.projector,
@@ -53,8 +57,9 @@ def import_capture(
         folder_in_progress(out) as folder_being_made,
         TemporaryDirectory() as stage,
     ):
-        if rig is not None:
+        if rig is not None and original is not None:
             rig.save(Path(stage))
+            shutil.copy(original, stage)
         record_capture(
             found,
             folder_being_made,
