@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -9,9 +10,12 @@ import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 
-from acquisition.atomic_files import file_in_progress
+from acquisition.atomic_files import file_in_progress, folder_in_progress
 from render.errors import RenderError
 from render.painter import RenderedImage
+from render.painting_node import Mode
+
+_THUMBNAIL_WIDTH = 400
 
 
 def write_picture(picture: RenderedImage, path: Path, *, exposure: float = 1.0) -> None:
@@ -20,21 +24,81 @@ def write_picture(picture: RenderedImage, path: Path, *, exposure: float = 1.0) 
     Raises
     ------
     RenderError
-        Another suffix.
+        Another suffix than .png and .exr, or no folder to write into.
     """
     path = Path(path)
+    check_picture_path(path)
     if path.suffix.lower() == ".png":
         with file_in_progress(path) as temporary:
             _write_png(temporary, picture.encoded(exposure=exposure))
-    elif path.suffix.lower() == ".exr":
+    else:
         channels = {name: picture.radiance[..., i] for i, name in enumerate("RGB")}
         channels |= {"A": picture.coverage, "Z": picture.depth_mm}
         header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
         with file_in_progress(path) as temporary:
             layers = {name: np.ascontiguousarray(layer) for name, layer in channels.items()}
             OpenEXR.File(header, layers).write(str(temporary))
-    else:
+
+
+def check_picture_path(path: Path) -> None:
+    """Refuse a file that :func:`write_picture` would refuse, before the picture is drawn.
+
+    Raises
+    ------
+    RenderError
+        Another suffix than .png and .exr, or no folder to write into.
+    """
+    if path.suffix.lower() not in (".png", ".exr"):
         raise RenderError(f"{path}: pictures are written as .png or .exr")
+    if not path.parent.is_dir():
+        raise RenderError(f"{path}: there is no folder {path.parent}; make it first")
+
+
+def write_picture_table(
+    paint: Callable[[Mode, str], RenderedImage],
+    modes: list[Mode],
+    views: list[str],
+    out: Path,
+    *,
+    exposure: float = 1.0,
+) -> None:
+    """Write a folder with a PNG for every mode and view, and ``contact.png`` of them all.
+
+    Each picture is written as soon as it is painted; the folder appears when it is complete.
+
+    Parameters
+    ----------
+    paint : callable
+        Gives the picture of a mode and a view; all of one size.
+    modes, views : list
+        Rows and columns of the contact sheet.
+    out : Path
+        The folder to make.
+    exposure : float
+
+    Raises
+    ------
+    FileExistsError
+        ``out`` exists.
+    """
+    with folder_in_progress(Path(out)) as folder:
+        rows = []
+        for mode in modes:
+            row = []
+            for view in views:
+                picture = paint(mode, view)
+                write_picture(picture, folder / f"{mode}_{view}.png", exposure=exposure)
+                row.append(_thumbnail(picture.encoded(exposure=exposure)))
+            rows.append(row)
+        write_contact_sheet(rows, [str(mode) for mode in modes], views, folder / "contact.png")
+
+
+def _thumbnail(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    rows, cols = image.shape[:2]
+    if cols <= _THUMBNAIL_WIDTH:
+        return image
+    size = (_THUMBNAIL_WIDTH, max(1, round(rows * _THUMBNAIL_WIDTH / cols)))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def write_contact_sheet(

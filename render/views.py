@@ -30,7 +30,8 @@ class NamedView(StrEnum):
 _GRAZING_ELEVATION = np.deg2rad(15.0)
 _FRONT_ELEVATION = np.deg2rad(82.0)
 _BELOW = np.deg2rad(-90.0)
-# Share of the painting's width across the frame, close up; and distances in units of in shot.
+# Distances in units of in shot.
+_FILLED = 0.94  # share of the frame, in shot
 _NEAR_SHARE = 0.1
 _FAR_FACTOR = 10.0
 
@@ -94,8 +95,8 @@ def named_view(
 ) -> View:
     """One of the six views of a copy.
 
-    In shot the whole canvas fits the frame; near, about a tenth of its width fills it, from above
-    the relief at least; far, it is a tenth of its size in shot.
+    In shot the whole canvas fits the frame; near is a tenth of that distance, but above the relief;
+    far is ten times as far.
 
     Parameters
     ----------
@@ -112,16 +113,33 @@ def named_view(
     """
     distance_name, angle_name = name.value.split("-")
     elevation = _GRAZING_ELEVATION if angle_name == "grazing" else _FRONT_ELEVATION
-    width, height = copy.height_field.size_mm
-    half = np.tan(field_of_view / 2)
-    fitting = 0.53 * max(height, width / aspect) / half
-    # Seen from below, the lower edge comes closer by half the height times the slant.
-    fitting += 0.5 * height * np.cos(elevation)
+    fitting = _fitting_distance(copy, elevation, aspect, field_of_view)
     distance = {"near": fitting * _NEAR_SHARE, "inshot": fitting, "far": fitting * _FAR_FACTOR}
     chosen = distance[distance_name]
     low, high = copy.height_field.height_range_mm
     clear = (high + 0.1 * (high - low) + copy.height_field.pitch_mm) / np.sin(elevation)
     return View(_BELOW, elevation, max(chosen, clear), field_of_view)
+
+
+def _fitting_distance(
+    copy: DigitalCopy, elevation: float, aspect: float, field_of_view: float
+) -> float:
+    """Least distance from below at which the box around the copy fits the frame, mm."""
+    (x0, y0), (width, height) = copy.height_field.origin_mm, copy.height_field.size_mm
+    half = 0.5 * copy.height_field.pitch_mm
+    corners = np.array(
+        [
+            (x, y, z)
+            for x in (x0 - half, x0 - half + width)
+            for y in (y0 + half, y0 + half - height)
+            for z in copy.height_field.height_range_mm
+        ]
+    )
+    right, up, towards = (corners @ View(_BELOW, elevation, 1.0).pose()[:3, :3]).T
+    frame = _FILLED * np.tan(field_of_view / 2)
+    # A corner d - towards away from the camera shows at right and up over frame · (d - towards).
+    needed = towards + np.maximum(np.abs(right) / aspect, np.abs(up)) / frame
+    return float(needed.max())
 
 
 def parse_view(

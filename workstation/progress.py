@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -42,11 +43,14 @@ class Steps:
 
 @contextmanager
 def progress(title: str, *, total: int) -> Iterator[Steps]:
-    """Show the progress of ``total`` steps while the block runs."""
-    console = Console(stderr=True, highlight=False)
+    """Show the progress of ``total`` steps while the block runs.
+
+    Where stderr is no terminal there is a line at the beginning and one at the end instead.
+    """
+    console = Console(stderr=True, highlight=False, markup=False)
     bar = Progress(
         SpinnerColumn(),
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
@@ -55,5 +59,10 @@ def progress(title: str, *, total: int) -> Iterator[Steps]:
         transient=True,
         disable=not console.is_terminal,
     )
+    begun = time.monotonic()
+    if not console.is_terminal:
+        console.print(title)
     with bar:
         yield Steps(bar, title, total)
+    if not console.is_terminal:
+        console.print(f"{title}: done in {time.monotonic() - begun:.1f} s")
