@@ -161,3 +161,14 @@ def pattern_image(
     levels = np.round(255 * profile).astype(np.uint8)
     line = levels[np.newaxis, :] if along_columns else levels[:, np.newaxis]
     return np.ascontiguousarray(np.broadcast_to(line, (height, width)))
+
+
+def describe(pattern: PhaseShift | Gray | Uniform) -> str:
+    """A pattern in a few words, for people."""
+    if isinstance(pattern, Uniform):
+        return {0.0: "black", 1.0: "white"}.get(pattern.level, f"grey {pattern.level:g}")
+    if isinstance(pattern, PhaseShift):
+        shift = np.degrees(pattern.shift_rad)
+        return f"{pattern.axis} fringe of {pattern.period_px:g} px at {shift:.0f}°"
+    kind = "inverse of " if pattern.inverse else ""
+    return f"{kind}{pattern.axis} Gray bit {pattern.bit + 1} of {pattern.bits}"

@@ -13,6 +13,7 @@ from acquisition.scan import plan_scan, scan
 from acquisition.session_writer import SessionWriter
 from calibration.lens import Lens, compose, invert, rt_from_matrix, transform
 from calibration.rig_geometry import RigGeometry
+from devices.rig import Rig
 from devices.simulated.optics import SimulatedLens
 from devices.simulated.rig import SimulatedRig
 from fitting.digital_copy import DigitalCopy
@@ -56,11 +57,12 @@ def record_simulated_scan(
     rig: SimulatedRig, out: Path, *, advance: Callable[[str], None] = lambda frame: None
 ) -> None:
     """Scan a simulated rig into a session that carries the rig's true calibration."""
-    plan = plan_scan(rig.camera, rig.projector, exposure_s=EXPOSURE_S, source="simulation")
+    devices = Rig(rig.camera, rig.projector, source="simulation")
+    plan = plan_scan(devices, exposure_s=EXPOSURE_S)
     with TemporaryDirectory() as folder:
         true_geometry(rig).save(Path(folder))
         with SessionWriter.create(out, plan, calibration=Path(folder)) as writer:
-            scan(writer, rig.camera, rig.projector, advance=advance)
+            scan(writer, devices, advance=advance)
 
 
 def true_geometry(rig: SimulatedRig) -> RigGeometry:

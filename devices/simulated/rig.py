@@ -13,8 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.errors import DeviceError
-from devices.interfaces import Frame
+from devices.deadline import Deadline
+from devices.errors import DeviceError, DeviceTimeoutError
+from devices.interfaces import CameraCapabilities, Frame, Projection, ProjectorCapabilities
 from devices.simulated.optics import SimulatedLens
 from devices.simulated.painting import Painting, paint_small_oil
 from devices.simulated.ray_kernels import cast_rays, lit_from, look_up
@@ -152,16 +153,18 @@ class SimulatedCamera:
         self._ended = 0.0
 
     @property
-    def size(self) -> tuple[int, int]:
-        """Width and height in pixels."""
-        return self._rig.camera_lens.width, self._rig.camera_lens.height
+    def capabilities(self) -> CameraCapabilities:
+        """Size and range of the simulated sensor."""
+        lens = self._rig.camera_lens
+        return CameraCapabilities(
+            model="simulated camera",
+            width=lens.width,
+            height=lens.height,
+            saturation_level=self._rig.sensor.ceiling,
+            exposure_range_s=(1e-6, 60.0),
+        )
 
-    @property
-    def saturation_level(self) -> int:
-        """Largest sensor number."""
-        return self._rig.sensor.ceiling
-
-    def capture(self, exposure_s: float, *, deadline: float | None = None) -> Frame:
+    def capture(self, exposure_s: float, *, deadline: Deadline | None = None) -> Frame:
         """Take one frame of what the projector shows now.
 
         Nobody waits for a simulated exposure: the frame says when it would have ended.
@@ -169,22 +172,19 @@ class SimulatedCamera:
         Raises
         ------
         DeviceError
-            The camera is closed, the exposure is not positive, or the deadline has passed.
+            The camera is closed, the exposure is out of range, or the deadline has passed.
         """
         if self._closed:
             raise DeviceError("the simulated camera is closed")
-        if not exposure_s > 0:
-            raise DeviceError(f"an exposure must be positive, not {exposure_s} s")
+        self.capabilities.check_exposure(exposure_s)
         began = max(time.monotonic(), self._ended)
         self._sequence += 1
         image = self._rig.sensor.expose(
             self._rig.electrons(exposure_s), self._rig.noise_of_frame(self._sequence)
         )
         now = time.monotonic()
-        if deadline is not None and now > deadline:
-            raise DeviceError(
-                f"the simulated camera delivered {now - deadline:.1f} s after its deadline"
-            )
+        if deadline is not None and deadline.passed:
+            raise DeviceTimeoutError("the simulated camera did not deliver in time")
         self._ended = began + exposure_s
         wall_time = time.time() + self._ended - now
         return Frame(image, self._sequence, exposure_s, exposure_s, self._ended, wall_time)
@@ -202,24 +202,22 @@ class SimulatedProjector:
         self._closed = False
 
     @property
-    def size(self) -> tuple[int, int]:
-        """Width and height of the panel."""
-        return self._rig.projector_lens.width, self._rig.projector_lens.height
+    def capabilities(self) -> ProjectorCapabilities:
+        """Size of the simulated panel."""
+        lens = self._rig.projector_lens
+        return ProjectorCapabilities("simulated projector", lens.width, lens.height, 1 / 60)
 
-    def show(self, image: NDArray[np.uint8]) -> None:
+    def show(self, projection: Projection, *, deadline: Deadline | None = None) -> float:
         """Show a picture of the panel's size."""
         if self._closed:
             raise DeviceError("the simulated projector is closed")
-        if image.shape != self.size[::-1] or image.dtype != np.uint8:
-            raise DeviceError(
-                f"the panel shows 8-bit pictures of {self.size[0]}×{self.size[1]}, not "
-                f"{image.dtype} of {image.shape}"
-            )
-        self._rig.show(image)
+        self.capabilities.check_projection(projection)
+        self._rig.show(projection.image)
+        return time.monotonic()
 
     def blank(self) -> None:
         """Show black."""
-        self._rig.show(np.zeros(self.size[::-1], np.uint8))
+        self._rig.show(np.zeros(self.capabilities.size[::-1], np.uint8))
 
     def close(self) -> None:
         """Blank the panel."""

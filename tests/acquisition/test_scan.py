@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -13,13 +12,20 @@ from acquisition.scan import plan_scan, scan
 from acquisition.scan_plan import plan_structured_light
 from acquisition.session import Session
 from acquisition.session_writer import SessionWriter
-from devices.errors import DeviceError
+from devices.deadline import Deadline
+from devices.errors import DeviceError, DeviceTimeoutError
+from devices.interfaces import Projection
+from devices.rig import Rig
 from devices.simulated.rig import demo_rig
 
 
 @pytest.fixture(scope="module")
 def rig():
     return demo_rig(seed=3, camera_width=120)
+
+
+def devices(rig):
+    return Rig(rig.camera, rig.projector)
 
 
 class Wrapped:
@@ -67,56 +73,58 @@ class Failing(Wrapped):
         return self._device.capture(exposure_s, deadline=deadline)
 
 
-class Resized(Wrapped):
-    """A projector with another panel."""
+class Altered(Wrapped):
+    """A device that says something else of itself."""
 
-    size = (640, 400)
-
-
-class Deeper(Wrapped):
-    """A camera in another pixel format."""
-
-    saturation_level = 4095
+    def __init__(self, device, **changed):
+        super().__init__(device)
+        self.capabilities = replace(device.capabilities, **changed)
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda rig: (Lagging(rig.camera), rig.projector), "frame 0000 is stale"),
-        (lambda rig: (Frozen(rig.camera), rig.projector), "frame 0001 is frame 0000 over again"),
-        (lambda rig: (rig.camera, Resized(rig.projector)), "912×570 pixels, this one has 640×400"),
-        (lambda rig: (Deeper(rig.camera), rig.projector), "saturates at 1023, this one does at 40"),
+        (lambda rig: (Lagging(rig.camera), rig.projector), "0000 white is stale"),
+        (lambda rig: (Frozen(rig.camera), rig.projector), "0001 black is that of 0000 white over"),
+        (
+            lambda rig: (rig.camera, Altered(rig.projector, width=640, height=400)),
+            "912×570 pixels, this one has 640×400",
+        ),
+        (
+            lambda rig: (Altered(rig.camera, saturation_level=4095), rig.projector),
+            "saturates at 1023, this one does at 40",
+        ),
     ],
 )
 def test_a_scan_that_would_record_other_than_planned_is_refused(rig, tmp_path, change, message):
-    camera, projector = change(rig)
-    plan = plan_scan(rig.camera, rig.projector, exposure_s=0.03)
+    plan = plan_scan(devices(rig), exposure_s=0.03)
+    changed = Rig(*change(rig))
     with (
         pytest.raises(DeviceError, match=message),
         SessionWriter.create(tmp_path / "s", plan) as writer,
     ):
-        scan(writer, camera, projector)
+        scan(writer, changed)
 
 
 def test_an_interrupted_scan_leaves_the_projector_dark_and_can_go_on(rig, tmp_path):
-    plan = plan_scan(rig.camera, rig.projector, exposure_s=0.03)
+    plan = plan_scan(devices(rig), exposure_s=0.03)
     with (
         pytest.raises(KeyboardInterrupt),
         SessionWriter.create(tmp_path / "s", plan) as writer,
     ):
-        scan(writer, Failing(rig.camera), rig.projector)
+        scan(writer, Rig(Failing(rig.camera), rig.projector))
     bright = rig.electrons(0.03).max()
-    rig.projector.show(np.full((570, 912), 255, np.uint8))
+    rig.projector.show(Projection("white", np.full((570, 912), 255, np.uint8)))
     assert bright < 0.01 * rig.electrons(0.03).max()
     with SessionWriter.resume(tmp_path / "s") as writer:
         assert writer.missing[0] == "0005"
-        scan(writer, rig.camera, rig.projector)
+        scan(writer, devices(rig))
     assert len(Session.open(tmp_path / "s").recorded) == len(plan.frames)
 
 
 def test_a_missed_deadline_is_a_device_error(rig):
-    with pytest.raises(DeviceError, match="after its deadline"):
-        rig.camera.capture(0.03, deadline=time.monotonic() - 1)
+    with pytest.raises(DeviceTimeoutError, match="in time"):
+        rig.camera.capture(0.03, deadline=Deadline.after(-1))
 
 
 def test_devices_refuse_to_work_once_closed():
@@ -127,7 +135,7 @@ def test_devices_refuse_to_work_once_closed():
     with pytest.raises(DeviceError, match="camera is closed"):
         rig.camera.capture(0.03)
     with pytest.raises(DeviceError, match="projector is closed"):
-        rig.projector.show(np.zeros((570, 912), np.uint8))
+        rig.projector.show(Projection("black", np.zeros((570, 912), np.uint8)))
 
 
 def _plan(**changed):

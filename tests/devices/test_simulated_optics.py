@@ -141,7 +141,7 @@ def test_a_plane_decodes_to_the_truth_within_its_noise(rig, bits):
     for step in range(steps):
         shift = 2 * np.pi * step / steps
         pattern = PhaseShift(axis=Axis.COLUMN, period_px=period, shift_rad=shift)
-        flat.projector.show(pattern_image(pattern, width=912, height=570))
+        flat.show(pattern_image(pattern, width=912, height=570))
         frames.append(flat.camera.capture(0.03).image.astype(float))
     stack = np.stack(frames)
     angle = 2 * np.pi * np.arange(steps) / steps
@@ -164,7 +164,7 @@ def test_gamma_blur_and_black_level_of_the_projector(rig):
     flat = rig_with(flat_painting(), rig, gamma=2.2, black=0.01, gloss=0.0)
 
     def light(level):
-        flat.projector.show(np.full((570, 912), level, np.uint8))
+        flat.show(np.full((570, 912), level, np.uint8))
         return flat.electrons(0.03)[90, 120]
 
     dark, full = light(0), light(255)
@@ -176,7 +176,7 @@ def test_gamma_blur_and_black_level_of_the_projector(rig):
         frames = []
         for shift in (0.0, np.pi):
             pattern = PhaseShift(axis=Axis.COLUMN, period_px=12, shift_rad=shift)
-            blurred.projector.show(pattern_image(pattern, width=912, height=570))
+            blurred.show(pattern_image(pattern, width=912, height=570))
             frames.append(blurred.electrons(0.03)[60:120, 60:180])
         amplitudes.append(np.std(frames[0] - frames[1]))
     loss = amplitudes[1] / amplitudes[0]

@@ -7,6 +7,8 @@ from acquisition.scan import plan_scan, scan
 from acquisition.session import Session
 from acquisition.session_writer import SessionWriter
 from devices.errors import DeviceError
+from devices.interfaces import Projection
+from devices.rig import Rig
 from devices.simulated.rig import Sensor, demo_rig
 
 
@@ -37,7 +39,7 @@ def test_frame_wall_and_shadows_are_there(rig):
 
 def test_the_same_seed_gives_the_same_frames_and_each_frame_its_own_noise():
     one, other = (demo_rig(seed=5, camera_width=120) for _ in range(2))
-    white = np.full((570, 912), 255, np.uint8)
+    white = Projection("white", np.full((570, 912), 255, np.uint8))
     frames = []
     for rig in (one, other):
         rig.projector.show(white)
@@ -74,8 +76,8 @@ def test_photon_transfer_gives_gain_and_read_noise_back():
 
 def test_devices_refuse_what_they_cannot_do(rig):
     with pytest.raises(DeviceError, match="912×570"):
-        rig.projector.show(np.zeros((10, 10), np.uint8))
-    with pytest.raises(DeviceError, match="positive"):
+        rig.projector.show(Projection("small", np.zeros((10, 10), np.uint8)))
+    with pytest.raises(DeviceError, match="outside what"):
         rig.camera.capture(0.0)
 
 
@@ -96,15 +98,15 @@ class Stuttering:
 
 
 def test_a_repeated_frame_stops_the_scan_with_the_projector_dark(rig, tmp_path):
-    plan = plan_scan(rig.camera, rig.projector, exposure_s=0.03)
+    plan = plan_scan(Rig(rig.camera, rig.projector), exposure_s=0.03)
     camera = Stuttering(rig.camera)
     with (
-        pytest.raises(DeviceError, match="frame 0003"),
+        pytest.raises(DeviceError, match="frame of 0003"),
         SessionWriter.create(tmp_path / "s", plan) as writer,
     ):
-        scan(writer, camera, rig.projector)
+        scan(writer, Rig(camera, rig.projector))
     assert rig.electrons(0.03).max() < 200
     with SessionWriter.resume(tmp_path / "s") as writer:
         assert writer.missing[0] == "0003"
-        scan(writer, rig.camera, rig.projector)
+        scan(writer, Rig(rig.camera, rig.projector))
     assert len(Session.open(tmp_path / "s").recorded) == len(plan.frames)
