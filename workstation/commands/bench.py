@@ -10,7 +10,7 @@ import typer
 
 
 class Benchmark(StrEnum):
-    """The benchmarks there are."""
+    """The benchmarks there are: modules of :mod:`workstation.benchmarks`."""
 
     SURFACE = "surface"
     DEMO = "demo"
@@ -22,7 +22,7 @@ def register(app: typer.Typer) -> None:
 
 
 def bench(
-    which: Annotated[Benchmark, typer.Argument(help="surface or demo.")],
+    which: Annotated[Benchmark, typer.Argument(help="What to measure.")],
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write records here.")] = None,
 ) -> None:
     """Measure a stage and hold its figures against their bounds.
@@ -33,10 +33,11 @@ def bench(
 
         impasto bench surface --json surface.json
     """
+    import importlib
+
     from workstation.benchmark_records import print_records
-    from workstation.benchmarks import bench_demo, bench_surface
     from workstation.json_output import write_json
 
-    records = bench_surface() if which is Benchmark.SURFACE else bench_demo()
+    records = importlib.import_module(f"workstation.benchmarks.{which}").bench()
     print_records(records)
     write_json(json, [record.as_json() for record in records])

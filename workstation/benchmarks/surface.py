@@ -1,13 +1,8 @@
-"""The benchmarks: what is measured, and the bounds it is held against."""
+"""Heights of simulated paintings against the truth, and the noise of a real relief."""
 
 from __future__ import annotations
 
-import json
 import os
-import resource
-import subprocess
-import sys
-import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -19,7 +14,7 @@ from workstation.processing import process_session
 RELIEF_CAPTURE = "slmaster_relief_mono"
 
 
-def bench_surface(*, seeds: int = 3) -> list[Record]:
+def bench(*, seeds: int = 3) -> list[Record]:
     """Heights of simulated paintings against the truth, and the noise of a real relief."""
     errors = []
     with TemporaryDirectory() as folder:
@@ -61,7 +56,7 @@ def _relief_noise(capture: Path) -> Record:
     from acquisition.foreign_capture import find_capture, record_capture
     from calibration.opencv_files import read_rig_geometry
 
-    fixtures = Path(__file__).parents[1] / "fixtures" / "captures"
+    fixtures = Path(__file__).parents[2] / "fixtures" / "captures"
     description = read_description(fixtures / f"{RELIEF_CAPTURE}.toml")
     names = description.calibration
     assert names is not None  # the fixture names one
@@ -81,30 +76,3 @@ def _relief_noise(capture: Path) -> Record:
         sense=Sense.AT_MOST,
         note=f"plaster relief, {noise.observed_mm:.3f} mm observed",
     )
-
-
-def bench_demo() -> list[Record]:
-    """The demo as a whole process."""
-    with TemporaryDirectory() as folder:
-        figures = Path(folder) / "figures.json"
-        command = [sys.executable, "-m", "workstation.command_line", "demo"]
-        started = time.perf_counter()
-        subprocess.run(
-            [*command, "--out", f"{folder}/demo", "--json", str(figures)],
-            check=True,
-            capture_output=True,
-        )
-        seconds = time.perf_counter() - started
-        peak_mb = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
-        truth = json.loads(figures.read_text())["truth"]
-    return [
-        Record(name="demo.seconds", value=seconds, unit="s", bound=60.0, sense=Sense.AT_MOST),
-        Record(name="demo.peak_mb", value=peak_mb, unit="MB", bound=3000.0, sense=Sense.AT_MOST),
-        Record(
-            name="demo.height_rms_over_predicted",
-            value=truth["height_rms_over_predicted"],
-            unit="",
-            bound=(0.8, 1.25),
-            sense=Sense.WITHIN,
-        ),
-    ]
