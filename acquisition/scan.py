@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from acquisition.patterns import Axis, describe, pattern_image
-from acquisition.plan import Plan
+from acquisition.frame_files import Samples
+from acquisition.patterns import BLACK, WHITE, Axis, describe, pattern_image
+from acquisition.plan import Plan, PlannedFrame
 from acquisition.scan_plan import plan_structured_light
 from acquisition.session_writer import SessionWriter
-from devices.errors import DeviceError
+from devices.errors import DeviceError, FrameOrderError
+from devices.frame_order import differ_beyond_noise
 from devices.interfaces import Projection
 from devices.rig import Rig
 
@@ -83,10 +85,11 @@ def scan(
     ------
     DeviceError
         The devices are not those of the plan, one of them failed, or a frame came twice, out of
-        turn, or from before its pattern was shown.
+        turn, or from before its pattern was shown; or white is darker than black.
     """
     missing = set(writer.missing)
     panel = rig.projector.capabilities
+    flats = _Flats(writer.plan)
     rig.begin_recording()
     try:
         _check_devices(writer.plan, rig)
@@ -98,6 +101,7 @@ def scan(
             image = pattern_image(planned.pattern, width=panel.width, height=panel.height)
             rig.show(Projection(f"{planned.id} {describe(planned.pattern)}", image))
             frame = rig.capture(planned.exposure_s)
+            flats.check(planned, frame.image)
             writer.record(
                 planned.id,
                 frame.image,
@@ -110,6 +114,42 @@ def scan(
         writer.finish()
     finally:
         rig.blank()
+
+
+class _Flats:
+    """The white and black frames of a scan, of which white must be the brighter one.
+
+    A projector that shows each picture one late would otherwise shift a whole scan.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self._saturation_level = plan.saturation_level
+        self._seen: dict[tuple[bool, float | None], tuple[str, Samples]] = {}
+
+    def check(self, planned: PlannedFrame, image: Samples) -> None:
+        """Hold a white frame against the last black one of its exposure, and a black against white.
+
+        Raises
+        ------
+        FrameOrderError
+            White is darker than black, by more than noise.
+        """
+        if planned.pattern not in (WHITE, BLACK):
+            return
+        is_white = planned.pattern == WHITE
+        self._seen[is_white, planned.exposure_s] = planned.id, image
+        if (not is_white, planned.exposure_s) not in self._seen:
+            return
+        white_id, white = self._seen[True, planned.exposure_s]
+        black_id, black = self._seen[False, planned.exposure_s]
+        if white.mean() < black.mean() and differ_beyond_noise(
+            white, black, saturation_level=self._saturation_level
+        ):
+            raise FrameOrderError(
+                f"frame {white_id} (white) is darker than frame {black_id} (black): the projector "
+                "shows each picture later than it says; raise its latency in rig.toml, and scan "
+                "anew"
+            )
 
 
 def _check_devices(plan: Plan, rig: Rig) -> None:

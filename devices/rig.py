@@ -1,14 +1,15 @@
 """The rig: camera, projector, light arm and camera mount as one, safe on every way out.
 
 What the rig shows and where its light stands is remembered here, so that each frame carries what it
-is a picture of, and every frame is held against that (:mod:`devices.frame_order`).
+is a picture of, and every frame is held against that (:mod:`devices.frame_order`). Where a picture
+does not tell whether the light followed, the light is changed and changed back, which must show.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from types import TracebackType
 
@@ -16,10 +17,11 @@ import numpy as np
 
 from devices.deadline import Deadline
 from devices.errors import DeviceError, FrameOrderError
-from devices.frame_order import FrameOrder, differ_beyond_noise
+from devices.frame_order import FrameOrder, Light, differ_beyond_noise
 from devices.interfaces import (
     ArmPose,
     Camera,
+    CameraCapabilities,
     CameraMount,
     Frame,
     LightArm,
@@ -28,13 +30,18 @@ from devices.interfaces import (
     Subject,
 )
 
+# Edge of a square of the checkerboard that proves a projector's light, panel pixels.
+_SQUARE_PX = 32
+# A proof is not exposed for longer, unless the frame itself is.
+_LONGEST_PROOF_S = 4.0
+
 
 class Rig:
     """A camera, and what lights its scene; a context manager that leaves everything dark and still.
 
     Parameters
     ----------
-    camera : Camera
+    camera : Camera, optional
     projector : Projector, optional
     arm : LightArm, optional
     mount : CameraMount, optional
@@ -42,27 +49,45 @@ class Rig:
         Description of the rig in force, for sessions; empty if there is none.
     source : str
         Kept in plans: ``"rig"`` or ``"simulation"``.
+    prove_light : bool
+        Whether a frame that does not tell if the light changed is taken again after other light.
+        Recorded frames went through that when they were taken, and hold nothing else.
     """
 
     def __init__(
         self,
-        camera: Camera,
+        camera: Camera | None = None,
         projector: Projector | None = None,
         arm: LightArm | None = None,
         mount: CameraMount | None = None,
         *,
         toml: str = "",
         source: str = "rig",
+        prove_light: bool = True,
     ) -> None:
-        self.camera = camera
+        self._camera = camera
         self._projector = projector
         self._arm = arm
         self._mount = mount
         self.toml = toml
         self.source = source
+        self._prove_light = prove_light
         self._showing: Projection | None = None
         self._since_s = time.monotonic()
-        self._order = FrameOrder()
+        self._order: FrameOrder | None = None
+
+    @property
+    def camera(self) -> Camera:
+        """The camera.
+
+        Raises
+        ------
+        DeviceError
+            The rig has none.
+        """
+        if self._camera is None:
+            raise DeviceError("this rig has no camera; add a [camera] table to rig.toml")
+        return self._camera
 
     @property
     def projector(self) -> Projector:
@@ -91,6 +116,11 @@ class Rig:
         return self._arm
 
     @property
+    def has_projector(self) -> bool:
+        """Whether there is a projector."""
+        return self._projector is not None
+
+    @property
     def has_arm(self) -> bool:
         """Whether there is a light arm."""
         return self._arm is not None
@@ -113,7 +143,7 @@ class Rig:
 
     def begin_recording(self) -> None:
         """Forget earlier frames: the camera may have been used, or started anew, since then."""
-        self._order = FrameOrder()
+        self._order = None
 
     def show(self, projection: Projection) -> None:
         """Show a picture; from then on frames are of it."""
@@ -149,30 +179,29 @@ class Rig:
             raise DeviceError(
                 f"this rig has no camera position {position!r}; name its positions in rig.toml"
             )
+        self.blank()
+        if self._arm is not None and self._arm.lamp_on:
+            self._arm.switch_lamp(False)
         self._mount.place(position)
         self._since_s = time.monotonic()
 
     def capture(self, exposure_s: float, *, deadline: Deadline | None = None) -> Frame:
         """Take a frame of what is lit now, and make sure that it is.
 
-        Where the picture shows no change though the projector was told to make one, the inverse is
-        shown and taken too: patterns can be alike on the part of the panel that the camera sees.
+        Where the picture does not show that the light followed what it was told, the light is
+        changed and changed back, and the frame taken again: patterns can be alike on the part of
+        the panel that the camera sees. That is done for the first light of a recording too.
 
         Raises
         ------
         DeviceError
-            As :meth:`~devices.interfaces.Camera.capture`; a
-            :class:`~devices.errors.FrameOrderError` if the frame is not of its subject.
+            As :meth:`~devices.interfaces.Camera.capture`, or the frame has not the camera's size;
+            a :class:`~devices.errors.FrameOrderError` if it is not of its subject.
         """
-        frame, changed = self._capture(exposure_s, deadline)
-        if changed:
+        frame, told = self._capture(exposure_s, deadline)
+        if told or not self._prove_light:
             return frame
-        if self._showing is None:
-            raise FrameOrderError(
-                f"frame of {frame.subject} differs from the one before it by nothing but noise; "
-                "the light did not change, so look at projector and lamp, and resume"
-            )
-        return self._verify(frame, self._showing, exposure_s)
+        return self._prove(frame, exposure_s)
 
     def make_safe(self) -> None:
         """Stop motion and put every light out; goes on to the next device if one fails.
@@ -190,7 +219,8 @@ class Rig:
     def close(self) -> None:
         """Make everything safe and release every device, whatever fails on the way."""
         with ExitStack() as every:
-            every.callback(self.camera.close)
+            if self._camera is not None:
+                every.callback(self._camera.close)
             if self._projector is not None:
                 every.callback(self._projector.close)
             if self._arm is not None:
@@ -218,26 +248,119 @@ class Rig:
             actions.append(self._arm.stop)
         return actions
 
-    def _capture(self, exposure_s: float, deadline: Deadline | None) -> tuple[Frame, bool]:
-        frame = self.camera.capture(exposure_s, deadline=deadline)
-        frame = dataclasses.replace(frame, subject=self.subject)
-        return frame, self._order.check(frame, subject_since_s=self._since_s)
+    @property
+    def _light(self) -> Light:
+        """The light that the scene is under, as far as the rig knows."""
+        subject = self.subject
+        return Light(
+            projection=self._showing.digest if self._showing is not None else None,
+            lamp_on=subject.lamp_on,
+            lamp_pose=subject.arm_pose if subject.lamp_on else None,
+            camera_position=subject.camera_position,
+        )
 
-    def _verify(self, frame: Frame, projection: Projection, exposure_s: float) -> Frame:
-        """Take a frame again after its inverse, which must show the light changing twice."""
-        inverse = Projection(f"inverse of {projection.name}", np.uint8(255) - projection.image)
-        self.show(inverse)
-        _, away = self._capture(exposure_s, None)
-        self.show(projection)
-        again, back = self._capture(exposure_s, None)
-        if not (away and back):
+    def _capture(self, exposure_s: float, deadline: Deadline | None) -> tuple[Frame, bool]:
+        """Take a frame; also whether it tells that its light is there."""
+        camera = self.camera
+        asked_s = time.monotonic()
+        frame = camera.capture(exposure_s, deadline=deadline)
+        delivered_s = time.monotonic()
+        frame = dataclasses.replace(frame, subject=self.subject)
+        _check_samples(frame, camera.capabilities)
+        if self._order is None:
+            self._order = FrameOrder(saturation_level=camera.capabilities.saturation_level)
+        told = self._order.check(
+            frame,
+            light=self._light,
+            subject_since_s=max(self._since_s, asked_s),
+            delivered_s=delivered_s,
+        )
+        return frame, told
+
+    def _prove(self, frame: Frame, exposure_s: float) -> Frame:
+        """Take a frame again after other light; the light must be seen to go and to come back."""
+        order = self._order
+        assert order is not None
+        lamp_before = order.light_before is not None and order.light_before.lamp_on
+        for exposure in self._telling_exposures(frame, exposure_s):
+            away, again = self._change_light_and_back(exposure, lamp_before=lamp_before)
+            if self._differ(away, again):
+                break
+        else:
             raise FrameOrderError(
-                f"frame of {frame.subject} does not differ from its inverse: the projector does "
-                "not light the scene, or shows something else"
+                f"frame of {frame.subject} stays as it is when the light changes: it does not "
+                "reach the scene, or the device shows something else than it was told; look at "
+                "projector and lamp, and resume"
             )
-        if differ_beyond_noise(again.image, frame.image):
+        if again.exposure_asked_s != exposure_s:
+            again, _ = self._capture(exposure_s, None)
+        if self._differ(again, frame):
             raise FrameOrderError(
-                f"frame of {frame.subject} showed the picture before it: the projector is slower "
-                "than it says; raise its latency in rig.toml and resume"
+                f"frame of {frame.subject} showed the light before it: the device is slower than "
+                "it says; raise its latency in rig.toml and resume"
             )
+        order.accept_light()
         return again
+
+    def _telling_exposures(self, frame: Frame, exposure_s: float) -> Iterator[float]:
+        """Exposures at which a change of light should be seen: that of the frame first."""
+        capabilities = self.camera.capabilities
+        saturated = np.median(frame.image) >= capabilities.saturation_level
+        low, high = capabilities.exposure_range_s
+        high = min(high, max(exposure_s, _LONGEST_PROOF_S))
+        exposure = exposure_s
+        while True:
+            yield exposure
+            exposure *= 0.25 if saturated else 4.0
+            if not low <= exposure <= high:
+                return
+
+    def _change_light_and_back(
+        self, exposure_s: float, *, lamp_before: bool
+    ) -> tuple[Frame, Frame]:
+        """A frame under other light than now, and one under the same light as now again."""
+        showing, lamp_on = self._showing, self.subject.lamp_on
+        if showing is not None:
+            self.show(_counterpart(showing))
+            away, _ = self._capture(exposure_s, None)
+            self.show(showing)
+        elif lamp_on or lamp_before or self._projector is None:
+            self.switch_lamp(not lamp_on)
+            away, _ = self._capture(exposure_s, None)
+            self.switch_lamp(lamp_on)
+        else:
+            width, height = self.projector.capabilities.size
+            self.show(_counterpart(Projection("darkness", np.zeros((height, width), np.uint8))))
+            away, _ = self._capture(exposure_s, None)
+            self.blank()
+        again, _ = self._capture(exposure_s, None)
+        return away, again
+
+    def _differ(self, frame: Frame, other: Frame) -> bool:
+        level = self.camera.capabilities.saturation_level
+        return differ_beyond_noise(frame.image, other.image, saturation_level=level)
+
+
+def _check_samples(frame: Frame, camera: CameraCapabilities) -> None:
+    """Refuse a frame of another size or type than the camera's."""
+    image = frame.image
+    if image.shape != (camera.height, camera.width) or image.dtype not in (np.uint8, np.uint16):
+        size = "×".join(map(str, reversed(image.shape)))
+        raise FrameOrderError(
+            f"frame of {frame.subject} is {image.dtype} of {size}, and {camera.model} takes "
+            f"{camera.width}×{camera.height}: it was cut off on its way, so look at the camera's "
+            "cable and resume"
+        )
+
+
+def _counterpart(projection: Projection) -> Projection:
+    """A picture that can be taken neither for another one nor for a flat one.
+
+    In every other square of a checkerboard, each pixel's level is exchanged for the extreme that is
+    further from it.
+    """
+    image = projection.image
+    rows, cols = (np.arange(size) // _SQUARE_PX for size in image.shape)
+    changed = (rows[:, np.newaxis] + cols) % 2 == 0
+    extreme = np.where(image < 128, np.uint8(255), np.uint8(0))
+    return Projection(f"counterpart of {projection.name}", np.where(changed, extreme, image))

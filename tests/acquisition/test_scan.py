@@ -13,7 +13,7 @@ from acquisition.scan_plan import plan_structured_light
 from acquisition.session import Session
 from acquisition.session_writer import SessionWriter
 from devices.deadline import Deadline
-from devices.errors import DeviceError, DeviceTimeoutError
+from devices.errors import DeviceError, DeviceTimeoutError, FrameOrderError
 from devices.interfaces import Projection
 from devices.rig import Rig
 from devices.simulated.rig import demo_rig
@@ -73,6 +73,16 @@ class Failing(Wrapped):
         return self._device.capture(exposure_s, deadline=deadline)
 
 
+class OneLate(Wrapped):
+    """A projector that shows the picture before the one it is given."""
+
+    last = Projection("dark", np.zeros((570, 912), np.uint8))
+
+    def show(self, projection, *, deadline=None):
+        self.last, shown = projection, self.last
+        return self._device.show(shown, deadline=deadline)
+
+
 class Altered(Wrapped):
     """A device that says something else of itself."""
 
@@ -85,7 +95,7 @@ class Altered(Wrapped):
     ("change", "message"),
     [
         (lambda rig: (Lagging(rig.camera), rig.projector), "0000 white is stale"),
-        (lambda rig: (Frozen(rig.camera), rig.projector), "0001 black is that of 0000 white over"),
+        (lambda rig: (Frozen(rig.camera), rig.projector), "is that of 0000 white over"),
         (
             lambda rig: (rig.camera, Altered(rig.projector, width=640, height=400)),
             "912×570 pixels, this one has 640×400",
@@ -106,6 +116,25 @@ def test_a_scan_that_would_record_other_than_planned_is_refused(rig, tmp_path, c
         scan(writer, changed)
 
 
+@pytest.mark.parametrize("exposure_s", [0.03, 0.0003])
+def test_white_must_be_brighter_than_black(rig, tmp_path, exposure_s):
+    plan = plan_scan(devices(rig), exposure_s=exposure_s)
+    trusting = Rig(rig.camera, OneLate(rig.projector), prove_light=False)
+    with (
+        pytest.raises(FrameOrderError, match=r"0000 \(white\) is darker than frame 0001 \(black\)"),
+        SessionWriter.create(tmp_path / "s", plan) as writer,
+    ):
+        scan(writer, trusting)
+    assert "0001" in writer.missing
+
+
+def test_a_scan_with_hardly_any_light_is_recorded(rig, tmp_path):
+    plan = plan_scan(devices(rig), exposure_s=1e-6, steps=3, axes=(Axis.ROW,))
+    with SessionWriter.create(tmp_path / "s", plan) as writer:
+        scan(writer, devices(rig))
+    assert len(Session.open(tmp_path / "s").recorded) == len(plan.frames)
+
+
 def test_an_interrupted_scan_leaves_the_projector_dark_and_can_go_on(rig, tmp_path):
     plan = plan_scan(devices(rig), exposure_s=0.03)
     with (
@@ -117,7 +146,8 @@ def test_an_interrupted_scan_leaves_the_projector_dark_and_can_go_on(rig, tmp_pa
     rig.projector.show(Projection("white", np.full((570, 912), 255, np.uint8)))
     assert bright < 0.01 * rig.electrons(0.03).max()
     with SessionWriter.resume(tmp_path / "s") as writer:
-        assert writer.missing[0] == "0005"
+        # Two of the five went into the proof of the first light.
+        assert writer.missing[0] == "0003"
         scan(writer, devices(rig))
     assert len(Session.open(tmp_path / "s").recorded) == len(plan.frames)
 

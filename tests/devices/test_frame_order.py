@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from devices.errors import FrameOrderError
-from devices.frame_order import FrameOrder, differ_beyond_noise
-from devices.interfaces import Frame, Subject
+from devices.frame_order import FrameOrder, Light, differ_beyond_noise
+from devices.interfaces import ArmPose, Frame, Subject
 
 
 def noisy(level, seed):
@@ -47,39 +47,107 @@ def test_light_that_reaches_one_pixel_in_a_hundred_is_a_change(scene):
     assert differ_beyond_noise(noisy(lit, 0), noisy(dark, 1))
 
 
+@pytest.mark.parametrize("ratio", [0.25, 0.9, 1.0, 4.0])
+def test_the_same_light_is_known_in_another_exposure(scene, ratio):
+    fringe = scene * (0.5 + 0.4 * np.cos(np.arange(320) / 5))
+    for seed in range(20):
+        one = np.minimum(noisy(400 * ratio * scene, 2 * seed) + 8, 700)
+        same = np.minimum(noisy(400 * scene, 2 * seed + 1) + 8, 700)
+        other = np.minimum(noisy(400 * fringe, 2 * seed + 1) + 8, 700)
+        options = {"exposure_ratio": ratio, "saturation_level": 700}
+        assert not differ_beyond_noise(one, same, **options)
+        assert differ_beyond_noise(one, other, **options)
+
+
+def test_what_is_saturated_shows_no_difference(scene):
+    full = np.full(scene.shape, 1023, "u2")
+    assert not differ_beyond_noise(full, full, saturation_level=1023)
+    # A flicker does not change what is saturated, and what is not by its share.
+    one, other = (noisy(900 * f * scene, n).clip(max=700) for n, f in enumerate((1.0, 0.97)))
+    assert (one == 700).mean() > 0.1
+    assert not differ_beyond_noise(one, other, saturation_level=700)
+    assert differ_beyond_noise(one, full.clip(max=700), saturation_level=700)
+
+
 def frame(number, image, *, subject="a", exposure=0.1, ended=None):
     ended = 10.0 + number if ended is None else ended
     return Frame(image, number, exposure, exposure, ended, ended, Subject(projection=subject))
 
 
+def check(order, frame, *, since=0.0, **options):
+    light = Light(projection=frame.subject.projection)
+    return order.check(frame, light=light, subject_since_s=since, **options)
+
+
 def test_counts_and_times_must_follow(scene):
     order = FrameOrder()
-    order.check(frame(1, noisy(300 * scene, 0)), subject_since_s=10.5)
+    check(order, frame(1, noisy(300 * scene, 0)), since=10.5)
     with pytest.raises(FrameOrderError, match="number 3 after 1"):
-        order.check(frame(3, noisy(300 * scene, 1)), subject_since_s=11.0)
+        check(order, frame(3, noisy(300 * scene, 1)), since=11.0)
     with pytest.raises(FrameOrderError, match="stale: its exposure began 50 ms before"):
-        order.check(frame(2, noisy(300 * scene, 1), ended=12.0), subject_since_s=11.95)
+        check(order, frame(2, noisy(300 * scene, 1), ended=12.0), since=11.95)
+    with pytest.raises(FrameOrderError, match="delivered 900 ms before its exposure began"):
+        check(order, frame(2, noisy(300 * scene, 1), ended=13.0), since=11.95, delivered_s=12.0)
 
 
-def test_the_same_picture_under_a_new_number_is_refused(scene):
+@pytest.mark.parametrize("changed", [{"ended": np.nan}, {"exposure": np.inf}, {"exposure": 0.0}])
+def test_times_that_are_none_are_refused(scene, changed):
+    with pytest.raises(FrameOrderError, match="the camera says that an exposure of"):
+        check(FrameOrder(), frame(1, noisy(300 * scene, 0), **changed))
+
+
+def test_an_earlier_picture_under_a_new_number_is_refused(scene):
     order = FrameOrder()
     image = noisy(300 * scene, 0)
-    order.check(frame(1, image), subject_since_s=0)
-    with pytest.raises(FrameOrderError, match="over again"):
-        order.check(frame(2, image.copy(), subject="b"), subject_since_s=0)
+    check(order, frame(1, image))
+    check(order, frame(2, noisy(300 * scene, 1), subject="b"))
+    with pytest.raises(FrameOrderError, match="frame of c is that of a over again"):
+        check(order, frame(3, image.copy(), subject="c"))
 
 
-def test_pictures_are_compared_with_the_last_of_their_own_exposure(scene):
+def test_pictures_without_noise_may_be_alike():
+    order = FrameOrder()
+    black = np.zeros((60, 80), "u1")
+    black[3, 4] = 200
+    for number in range(1, 4):
+        check(order, frame(number, black.copy(), subject=f"{number}"))
+
+
+def test_pictures_are_held_against_those_of_the_light_before(scene):
     order = FrameOrder()
     pattern = scene * (0.5 + 0.4 * np.cos(np.arange(320) / 5))
+    other = scene * (0.5 + 0.4 * np.cos(np.arange(320) / 9))
     shots = [
-        (1, "a", 0.1, 300 * scene, True),
-        (2, "a", 0.4, 1200 * scene, True),
-        (3, "b", 0.1, 300 * pattern, True),
-        (4, "b", 0.4, 1200 * pattern, True),
-        (5, "c", 0.1, 300 * pattern, False),
-        (6, "c", 0.4, 1200 * scene, True),
+        ("a", 0.1, 300 * scene, False),  # nothing to hold it against
+        ("b", 0.1, 300 * pattern, True),
+        ("b", 0.4, 1200 * pattern, True),
+        ("c", 0.1, 300 * pattern, False),
+        ("d", 0.4, 1200 * scene, True),
+        ("e", 0.1, 300 * scene, False),  # of another exposure
+        ("f", 0.4, 300 * scene, False),  # a stale one of another exposure
+        ("g", 0.1, 300 * other, True),
     ]
-    for number, subject, exposure, level, changed in shots:
+    for number, (subject, exposure, level, told) in enumerate(shots):
         taken = frame(number, noisy(level, number), subject=subject, exposure=exposure)
-        assert order.check(taken, subject_since_s=0) is changed
+        assert check(order, taken) is told, subject
+
+
+def test_a_light_once_accepted_needs_no_more_proof(scene):
+    order = FrameOrder()
+    assert not check(order, frame(1, noisy(300 * scene, 0)))
+    order.accept_light()
+    assert check(order, frame(2, noisy(3 * scene, 1), exposure=0.001))
+    assert not check(order, frame(3, noisy(3 * scene, 2), subject="b", exposure=0.001))
+
+
+def test_darkness_after_darkness_needs_no_proof(scene):
+    order = FrameOrder()
+    poses = (ArmPose(0.1, 0.2), ArmPose(0.3, 0.2))
+    for number, position in enumerate(("left", "left", "right")):
+        taken = frame(number, noisy(2 * scene, number), subject=None)
+        light = Light(camera_position=position)
+        assert order.check(taken, light=light, subject_since_s=0)
+    lit = Light(lamp_on=True, lamp_pose=poses[0])
+    assert not order.check(frame(3, noisy(2 * scene, 3)), light=lit, subject_since_s=0)
+    # A lamp that went out must be seen to have done so.
+    assert not order.check(frame(4, noisy(2 * scene, 4)), light=Light(), subject_since_s=0)
