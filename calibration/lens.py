@@ -3,12 +3,16 @@
 A lens maps directions to pixels. Directions are points in the camera frame (x right, y down,
 z forward), pixels are (column, row) with (0, 0) at the centre of the first pixel. A projector is a
 camera that emits: the same model, with the panel as the sensor.
+
+Lenses of OpenCV's family go through the kernels of :mod:`calibration.lens_kernels`, all others
+through mrcal, whose models are the reference for both.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import mrcal
@@ -16,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.errors import CalibrationError
+from calibration.lens_kernels import PARAMETERS, project_points, unproject_grid, unproject_pixels
 
 OPENCV_MODELS = {
     0: "LENSMODEL_PINHOLE",
@@ -105,6 +110,16 @@ class Lens:
         """f_x and f_y in pixels, (2,)."""
         return self.intrinsics[:2]
 
+    @property
+    def opencv_parameters(self) -> NDArray[np.float64] | None:
+        """The lens as :mod:`calibration.lens_kernels` takes it; None for another family.
+
+        Returns
+        -------
+        (16,) float64 array or None
+        """
+        return _opencv_parameters(self.model, self.intrinsics)
+
     def project(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Pixels at which points in the camera frame are seen.
 
@@ -117,9 +132,7 @@ class Lens:
         -------
         (..., 2) float64 array
         """
-        return np.asarray(
-            mrcal.project(np.ascontiguousarray(points, dtype=np.float64), *self._mrcal_lens)
-        )
+        return self.project_with_gradient(points)[0]
 
     def project_with_gradient(
         self, points: NDArray[np.float64]
@@ -132,10 +145,14 @@ class Lens:
         gradient : (..., 2, 3) float64 array
             ``d pixel / d point``.
         """
-        pixels, by_point, _ = mrcal.project(
-            np.ascontiguousarray(points, dtype=np.float64), *self._mrcal_lens, get_gradients=True
-        )
-        return pixels, by_point
+        points = np.ascontiguousarray(points, dtype=np.float64)
+        lens = self.opencv_parameters
+        if lens is None:
+            pixels, gradient, _ = mrcal.project(points, *self._mrcal_lens, get_gradients=True)
+            return pixels, gradient
+        shape = points.shape[:-1]
+        pixels, gradient = project_points(lens, points.reshape(-1, 3))
+        return pixels.reshape(*shape, 2), gradient.reshape(*shape, 2, 3)
 
     def unproject(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
         """Viewing rays of pixels.
@@ -148,10 +165,36 @@ class Lens:
         Returns
         -------
         (..., 3) float64 array
-            Directions scaled to z = 1.
+            Directions scaled to z = 1; NaN where the model has no inverse.
         """
-        rays = mrcal.unproject(np.ascontiguousarray(pixels, dtype=np.float64), *self._mrcal_lens)
-        return np.asarray(rays / rays[..., 2:])
+        pixels = np.ascontiguousarray(pixels, dtype=np.float64)
+        lens = self.opencv_parameters
+        if lens is None:
+            rays = np.asarray(mrcal.unproject(pixels, *self._mrcal_lens))
+            return rays / rays[..., 2:]
+        rays = np.ones((*pixels.shape[:-1], 3))
+        rays[..., :2] = unproject_pixels(lens, pixels.reshape(-1, 2)).reshape(pixels.shape)
+        return rays
+
+    def pixel_slopes(
+        self, *, origin: tuple[int, int], shape: tuple[int, int]
+    ) -> NDArray[np.float64]:
+        """Viewing rays of every pixel of a crop; those of the last crop asked for are kept.
+
+        Parameters
+        ----------
+        origin : (int, int)
+            Column and row of the crop's first pixel in the full frame.
+        shape : (int, int)
+            Rows and columns of the crop.
+
+        Returns
+        -------
+        (rows, cols, 2) float64 array
+            x/z and y/z of the rays; read-only.
+        """
+        column, row = origin
+        return _pixel_slopes(self.model, self.intrinsics.tobytes(), (column, row), shape)
 
     def save(self, path: Path, *, rt_this_ref: NDArray[np.float64] | None = None) -> None:
         """Write a mrcal ``.cameramodel`` file; ``rt_this_ref`` is the lens's pose."""
@@ -190,6 +233,31 @@ class Lens:
     @property
     def _mrcal_lens(self) -> tuple[str, NDArray[np.float64]]:
         return self.model, self.intrinsics
+
+
+def _opencv_parameters(model: str, intrinsics: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    if model not in OPENCV_MODELS.values():
+        return None
+    parameters = np.zeros(PARAMETERS)
+    parameters[: len(intrinsics)] = intrinsics
+    return parameters
+
+
+@lru_cache(maxsize=1)
+def _pixel_slopes(
+    model: str, intrinsics: bytes, origin: tuple[int, int], shape: tuple[int, int]
+) -> NDArray[np.float64]:
+    rows, cols = shape
+    numbers = np.frombuffer(intrinsics)
+    lens = _opencv_parameters(model, numbers)
+    if lens is None:
+        col, row = np.meshgrid(np.arange(cols) + origin[0], np.arange(rows) + origin[1])
+        rays = mrcal.unproject(np.stack([col, row], axis=-1).astype(np.float64), model, numbers)
+        slopes = np.ascontiguousarray(rays[..., :2] / rays[..., 2:])
+    else:
+        slopes = unproject_grid(lens, origin[0], origin[1], cols, rows)
+    slopes.setflags(write=False)
+    return slopes
 
 
 def _pose_accessor(model: mrcal.cameramodel) -> Callable[..., NDArray[np.float64]]:

@@ -12,42 +12,6 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 
-@njit(parallel=True, cache=True)
-def count_agreeing_neighbours(
-    depth: NDArray[np.float64], variance: NDArray[np.float64], slope_per_mm: float, sigmas: float
-) -> NDArray[np.float32]:
-    """Share of each pixel's 5 × 5 neighbourhood that may lie on the same surface.
-
-    Two pixels agree if their depths differ by less than ``slope_per_mm * depth`` per pixel of
-    distance plus ``sigmas`` standard deviations. Invalid neighbours (NaN) count as not agreeing,
-    beyond the picture's edge as not there.
-    """
-    rows, cols = depth.shape
-    share = np.zeros((rows, cols), np.float32)
-    for row in prange(rows):
-        for col in range(cols):
-            here = depth[row, col]
-            if math.isnan(here):
-                continue
-            near = 0
-            agree = 0
-            for i in range(max(0, row - 2), min(rows, row + 3)):
-                for j in range(max(0, col - 2), min(cols, col + 3)):
-                    if i == row and j == col:
-                        continue
-                    near += 1
-                    other = depth[i, j]
-                    if math.isnan(other):
-                        continue
-                    distance = math.sqrt((i - row) ** 2 + (j - col) ** 2)
-                    noise = math.sqrt(variance[row, col] + variance[i, j])
-                    if abs(other - here) < slope_per_mm * here * distance + sigmas * noise:
-                        agree += 1
-            if near > 0:
-                share[row, col] = agree / near
-    return share
-
-
 @njit(cache=True)
 def accumulate_local_planes(
     x: NDArray[np.float64],

@@ -15,14 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.correspondence import CorrespondenceMap, Rejection
-from acquisition.patterns import Axis
-from calibration.lens import rotation
 from calibration.rig_geometry import RigGeometry
+from fitting.depth_solver import AXES, Depths, PanelCorrection, PanelSightings, solve
+from fitting.epipolar import align_axes, repair_orders
 from fitting.errors import FittingError
-from fitting.neighbour_kernels import count_agreeing_neighbours
-
-_ITERATIONS = 5
-_AXIS_INDEX = {Axis.COLUMN: 0, Axis.ROW: 1}
+from fitting.triangulation_kernels import find_supported, place_points
 
 
 @dataclass(frozen=True)
@@ -33,7 +30,7 @@ class RangeImage:
     ----------
     points : (rows, cols, 3) float64 array
         Positions in mm; NaN where rejected.
-    depth_variance : (rows, cols) float64 array
+    depth_variance : (rows, cols) float32 array
         Variance of the depth z in mm²; infinite where rejected. The point moves along its viewing
         ray ``points / z`` when z does.
     rejection : (rows, cols) uint8 array
@@ -46,7 +43,7 @@ class RangeImage:
     """
 
     points: NDArray[np.float64]
-    depth_variance: NDArray[np.float64]
+    depth_variance: NDArray[np.float32]
     rejection: NDArray[np.uint8]
     focal_px: float
     misalignment_px: float
@@ -109,187 +106,85 @@ def triangulate(
         Fewer than ten points are left.
     """
     options = options or RangeOptions()
-    use = correspondence.valid
-    rays = rig.camera.unproject(correspondence.pixels()[use])
-    observed = np.zeros((len(rays), 2))
-    weight = np.zeros((len(rays), 2))
-    for axis, decoded in correspondence.axes.items():
-        observed[:, _AXIS_INDEX[axis]] = decoded.coordinate[use]
-        weight[:, _AXIS_INDEX[axis]] = 1.0 / decoded.variance[use]
-
+    sightings = PanelSightings.of(correspondence, rig.camera)
+    use = correspondence.valid.reshape(-1)
+    correction, misalignment = PanelCorrection.none(), 0.0
     both = len(correspondence.axes) == 2
-    tolerance = np.full(len(rays), np.inf)
-    misalignment = 0.0
     if both:
-        sigma = np.sqrt((1 / np.maximum(weight, 1e-30)).sum(axis=1))
-        tolerance = options.epipolar_tolerance_px + options.sigmas * sigma
-        observed, misalignment = _align_epipolar(rays, observed, weight, rig)
-    depth, variance, misfit = _solve_depth(rays, observed, weight, rig)
-    off = np.flatnonzero(~(misfit <= tolerance))
-    if both and options.repair_orders and len(off):
-        periods = np.array([correspondence.axes[a].period_px for a in (Axis.COLUMN, Axis.ROW)])
-        observed[off] = _repair_orders(rays[off], observed[off], tolerance[off], periods, rig)
-        depth[off], variance[off], misfit[off] = _solve_depth(
-            rays[off], observed[off], weight[off], rig
-        )
-    rejection = correspondence.rejection.copy()
-    reasons = np.zeros(len(rays), np.uint8)
-    reasons[~(np.isfinite(depth) & (depth > 0))] |= np.uint8(Rejection.NO_INTERSECTION)
+        alignment = align_axes(sightings.take(_spread(use)), rig)
+        correction, misalignment = alignment.correction, alignment.rms_px
+    solved = solve(sightings, rig, correction)
+    reasons = np.where(np.isfinite(solved.depth), 0, Rejection.NO_INTERSECTION).astype(np.uint8)
     if both:
-        reasons[~(misfit <= tolerance)] |= np.uint8(Rejection.OFF_EPIPOLAR)
-    rejection[use] |= reasons
+        off = _contradictory(sightings, solved.misfit, use, options)
+        if options.repair_orders and len(off):
+            solved = _resolve(sightings, solved, off, correspondence, rig, correction, options)
+            reasons[off] = np.where(np.isfinite(solved.depth[off]), 0, Rejection.NO_INTERSECTION)
+            off = off[_contradictory(sightings.take(off), solved.misfit[off], use[off], options)]
+        reasons[off] |= np.uint8(Rejection.OFF_EPIPOLAR)
 
-    depth_image = np.full(use.shape, np.nan)
-    depth_image[use] = depth
-    variance_image = np.full(use.shape, np.inf)
-    variance_image[use] = variance
-    ray_image = np.full((*use.shape, 3), np.nan)
-    ray_image[use] = rays
-
+    shape = correspondence.shape
+    rejection = correspondence.rejection | (use * reasons).reshape(shape)
     focal = float(np.mean(rig.camera.focal_px))
+    depth, variance = solved.depth.reshape(shape), solved.variance.reshape(shape)
     valid = rejection == 0
-    share = count_agreeing_neighbours(
-        np.where(valid, depth_image, np.nan),
-        np.where(valid, variance_image, 0.0),
+    supported = find_supported(
+        depth,
+        variance,
+        valid,
         options.maximum_slope / focal,
         options.sigmas,
+        options.agreeing_share,
     )
-    rejection[valid & (share < options.agreeing_share)] |= np.uint8(Rejection.OUTLIER)
+    rejection[valid & ~supported] |= np.uint8(Rejection.OUTLIER)
     valid = rejection == 0
     if valid.sum() < 10:
         raise FittingError(
             f"only {int(valid.sum())} of {int(use.sum())} decoded pixels could be triangulated; "
             "check that the calibration belongs to this rig, and its units"
         )
-    depth_image[~valid] = np.nan
-    variance_image[~valid] = np.inf
-    points = depth_image[..., np.newaxis] * ray_image
-    return RangeImage(points, variance_image, rejection, focal, misalignment)
+    variance[~valid] = np.inf
+    points = place_points(sightings.slopes.reshape(*shape, 2), depth, valid)
+    return RangeImage(points, variance, rejection, focal, misalignment)
 
 
-def _align_epipolar(
-    rays: NDArray[np.float64],
-    observed: NDArray[np.float64],
-    weight: NDArray[np.float64],
+def _spread(use: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Indices of usable pixels, at most some hundred thousand, from all over the picture."""
+    index = np.flatnonzero(use)
+    return index[:: max(1, len(index) // 100_000)]
+
+
+def _tolerance(sightings: PanelSightings, options: RangeOptions) -> NDArray[np.float32]:
+    """Disagreement of the axes that noise and calibration explain, pixels."""
+    column, row = sightings.variances
+    allowed = np.float32(options.epipolar_tolerance_px)
+    return allowed + np.float32(options.sigmas) * np.sqrt(column + row)
+
+
+def _contradictory(
+    sightings: PanelSightings,
+    misfit: NDArray[np.float32],
+    use: NDArray[np.bool_],
+    options: RangeOptions,
+) -> NDArray[np.intp]:
+    """Indices of usable pixels whose column and row contradict one another."""
+    return np.flatnonzero(use & ~(misfit <= _tolerance(sightings, options)))
+
+
+def _resolve(
+    sightings: PanelSightings,
+    solved: Depths,
+    off: NDArray[np.intp],
+    correspondence: CorrespondenceMap,
     rig: RigGeometry,
-) -> tuple[NDArray[np.float64], float]:
-    """Coordinates with the smooth disagreement between the axes removed, and its RMS in pixels.
-
-    The axis across the baseline says next to nothing of the depth, but an error of the calibration
-    along it would bend the surface. What that axis is off by, a cubic over the picture, is
-    subtracted; wrong periods and noise stay, to be judged after.
-    """
-    if not len(rays):
-        return observed.copy(), 0.0
-    _, gradient = rig.projector.project_with_gradient(
-        np.linalg.norm(rig.rt_proj_cam[3:]) * np.array([[0.0, 0.0, 5.0]])
-    )
-    along = int(np.argmax(np.abs(gradient[0] @ rig.rt_proj_cam[3:])))
-    across = 1 - along
-    only = np.zeros(2)
-    only[along] = 1.0
-    depth, _, _ = _solve_depth(rays, observed, np.broadcast_to(only, observed.shape), rig)
-    points = depth[:, np.newaxis] * (rays @ rotation(rig.rt_proj_cam).T) + rig.rt_proj_cam[3:]
-    seen = rig.projector.project(np.where(np.isfinite(points), points, 1.0))[:, across]
-    off = np.where(depth > 0, seen - observed[:, across], np.nan)
-
-    x, y = rays[:, 0], rays[:, 1]
-    if not (depth > 0).any():
-        return observed.copy(), 0.0
-    # No term in the depth: where the period is wrong the depth is too, and would spoil the row.
-    terms = np.stack([x**i * y**j for i in range(4) for j in range(4 - i)], axis=1)
-    used = np.flatnonzero(np.isfinite(off))
-    used = used[:: max(1, len(used) // 20_000)]
-    limit = np.inf
-    model = np.zeros(terms.shape[1])
-    for _ in range(8):
-        left = off[used] - terms[used] @ model
-        left -= np.median(left) if not model.any() else 0.0
-        limit = min(limit, max(4 * 1.4826 * float(np.median(np.abs(left))), 0.1))
-        inside = used[np.abs(left) <= limit]
-        if len(inside) < 10 * len(model):
-            return observed.copy(), 0.0
-        model = np.linalg.lstsq(terms[inside], off[inside], rcond=1e-8)[0]
-    aligned = observed.copy()
-    aligned[:, across] += np.where(np.isfinite(depth), terms @ model, 0.0)
-    return aligned, float(np.sqrt(np.mean((terms[inside] @ model) ** 2)))
-
-
-def _repair_orders(
-    rays: NDArray[np.float64],
-    observed: NDArray[np.float64],
-    tolerance: NDArray[np.float64],
-    periods: NDArray[np.float64],
-    rig: RigGeometry,
-) -> NDArray[np.float64]:
-    """Coordinates moved by the one combination of whole periods that the rig's geometry allows.
-
-    The order may be wrong by one, or by the whole panel where a coarse fringe of one period
-    wrapped at the panel's edge. A column fixes the depth and with it the row; a wrong order of
-    either breaks that. A pixel keeps its coordinates, and is rejected for them later, where no
-    combination or more than one fits.
-    """
-    repaired = observed.copy()
-    panel = np.array([rig.projector.width, rig.projector.height])
-    matches = np.zeros(len(rays), np.int32)
-    only_column = np.broadcast_to(np.array([1.0, 0.0]), observed.shape)
-    across, down = (
-        [-1, 0, 1] + [sign * (n - less) for sign in (-1, 1) for less in (0, 1) if n > 2]
-        for n in np.round(panel / periods).astype(int)
-    )
-    for column_order in across:
-        shifted = observed + np.array([column_order, 0.0]) * periods
-        depth, _, _ = _solve_depth(rays, shifted, only_column, rig)
-        points = depth[:, np.newaxis] * rays @ rotation(rig.rt_proj_cam).T + rig.rt_proj_cam[3:]
-        row = rig.projector.project(np.nan_to_num(points, nan=1.0))[:, 1]
-        for row_order in down:
-            candidate = shifted + np.array([0.0, row_order]) * periods
-            on_panel = ((candidate >= -0.5) & (candidate <= panel - 0.5)).all(axis=1)
-            fits = on_panel & (depth > 0) & (np.abs(candidate[:, 1] - row) <= tolerance)
-            repaired[fits] = candidate[fits]
-            matches += fits
-    return np.where((matches == 1)[:, np.newaxis], repaired, observed)
-
-
-def _solve_depth(
-    rays: NDArray[np.float64],
-    observed: NDArray[np.float64],
-    weight: NDArray[np.float64],
-    rig: RigGeometry,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Depth along each ray, its variance, and the distance left on the panel in pixels."""
-    turned = rays @ rotation(rig.rt_proj_cam).T
-    shift = rig.rt_proj_cam[3:]
-    depth = _pinhole_depth(turned, shift, observed, weight, rig)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        for _ in range(_ITERATIONS):
-            depth = np.where(depth > 0, depth, np.nan)
-            pixels, gradient = rig.projector.project_with_gradient(
-                depth[:, np.newaxis] * turned + shift
-            )
-            slope = np.einsum("nij,nj->ni", gradient, turned)
-            information = (weight * slope**2).sum(axis=1)
-            step = (weight * slope * (observed - pixels)).sum(axis=1) / information
-            depth = depth + step
-            if np.nanmax(np.abs(step / depth), initial=0.0) < 1e-10:
-                break
-        misfit = np.linalg.norm(np.where(weight > 0, observed - pixels, 0.0), axis=1)
-        return depth, 1 / information, misfit
-
-
-def _pinhole_depth(
-    turned: NDArray[np.float64],
-    shift: NDArray[np.float64],
-    observed: NDArray[np.float64],
-    weight: NDArray[np.float64],
-    rig: RigGeometry,
-) -> NDArray[np.float64]:
-    """Starting depth: weighted intersection that ignores the projector's distortion."""
-    focal, centre = rig.projector.intrinsics[:2], rig.projector.intrinsics[2:4]
-    slope = (observed - centre) / focal
-    # x_proj - slope * z_proj = 0 is linear in the depth.
-    by_depth = turned[:, :2] - slope * turned[:, 2:]
-    constant = shift[:2] - slope * shift[2]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        depth = -(weight * by_depth * constant).sum(axis=1) / (weight * by_depth**2).sum(axis=1)
-    return np.asarray(depth)
+    correction: PanelCorrection,
+    options: RangeOptions,
+) -> Depths:
+    """The depths with those of contradictory pixels solved again after a repair."""
+    column, row = (correspondence.axes[axis].period_px for axis in AXES)
+    wrong = sightings.take(off)
+    repaired = repair_orders(wrong, _tolerance(wrong, options), (column, row), rig, correction)
+    again = solve(repaired, rig, correction)
+    depth, variance, misfit = solved.depth.copy(), solved.variance.copy(), solved.misfit.copy()
+    depth[off], variance[off], misfit[off] = again.depth, again.variance, again.misfit
+    return Depths(depth, variance, misfit)

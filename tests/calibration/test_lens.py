@@ -1,11 +1,20 @@
 from __future__ import annotations
 
 import cv2
+import mrcal
 import numpy as np
 import pytest
 
 from calibration.errors import CalibrationError
-from calibration.lens import Lens, compose, invert, rotation, rt_from_matrix, transform
+from calibration.lens import (
+    OPENCV_MODELS,
+    Lens,
+    compose,
+    invert,
+    rotation,
+    rt_from_matrix,
+    transform,
+)
 
 
 def test_projection_agrees_with_opencv(rig_geometry):
@@ -70,3 +79,55 @@ def test_the_number_of_coefficients_chooses_the_model():
 def test_lenses_that_are_none_are_refused(matrix, distortion, message):
     with pytest.raises(CalibrationError, match=message):
         Lens.from_opencv(matrix, distortion, width=10, height=10)
+
+
+COEFFICIENTS = (-0.2, 0.1, 1e-3, -2e-3, 0.02, 0.05, -0.03, 0.01, 1e-3, 2e-4, -1e-3, 3e-4)
+
+
+@pytest.mark.parametrize("count", OPENCV_MODELS)
+def test_the_kernels_agree_with_mrcal(count):
+    intrinsics = np.array([900.0, 910, 800, 500, *COEFFICIENTS[:count]])
+    lens = Lens(OPENCV_MODELS[count], intrinsics, 1600, 1000)
+    pixels = np.random.default_rng(3).uniform([0, 0], [1599, 999], (2000, 2))
+    rays = mrcal.unproject(pixels, lens.model, intrinsics)
+    rays /= rays[:, 2:]
+    np.testing.assert_allclose(lens.unproject(pixels), rays, atol=1e-10)
+    points = rays * np.linspace(300, 600, len(rays))[:, np.newaxis]
+    expected, gradient, _ = mrcal.project(points, lens.model, intrinsics, get_gradients=True)
+    found, by_point = lens.project_with_gradient(points)
+    np.testing.assert_allclose(found, expected, atol=1e-11)
+    np.testing.assert_allclose(by_point, gradient, atol=1e-13 * np.abs(gradient).max() + 1e-13)
+
+
+SPLINED = "LENSMODEL_SPLINED_STEREOGRAPHIC_order=3_Nx=8_Ny=6_fov_x_deg=60"
+
+
+def test_lenses_of_other_families_go_through_mrcal():
+    surface = np.random.default_rng(4).normal(0, 1e-3, 96)
+    lens = Lens(SPLINED, np.array([900.0, 905, 159, 118, *surface]), 320, 240)
+    assert lens.opencv_parameters is None
+    pixels = np.random.default_rng(1).uniform([0, 0], [319, 239], (50, 2))
+    rays = lens.unproject(pixels)
+    np.testing.assert_allclose(lens.project(rays * 431.0), pixels, atol=1e-5)
+    slopes = lens.pixel_slopes(origin=(3, 5), shape=(4, 6))
+    np.testing.assert_allclose(slopes[2, 1], lens.unproject(np.array([4.0, 7.0]))[:2], atol=1e-8)
+
+
+def test_rays_of_a_crop_are_those_of_its_pixels_and_are_kept(rig_geometry):
+    lens = rig_geometry.camera
+    slopes = lens.pixel_slopes(origin=(20, 10), shape=(30, 40))
+    pixels = np.stack(np.meshgrid(np.arange(20.0, 60), np.arange(10.0, 40)), axis=-1)
+    np.testing.assert_allclose(slopes, lens.unproject(pixels)[..., :2], atol=1e-12)
+    assert lens.pixel_slopes(origin=(20, 10), shape=(30, 40)) is slopes
+    assert lens.pixel_slopes(origin=(21, 10), shape=(30, 40)) is not slopes
+    with pytest.raises(ValueError, match="read-only"):
+        slopes[0, 0] = 0
+
+
+def test_a_pixel_beyond_the_fold_of_the_distortion_has_no_ray():
+    # x (1 - r²) never exceeds 0.385, so no direction reaches 0.6.
+    intrinsics = np.array([1000.0, 1000, 0, 0, -1, 0, 0, 0])
+    lens = Lens("LENSMODEL_OPENCV4", intrinsics, 1000, 10)
+    rays = lens.unproject(np.array([[600.0, 0], [300, 0]]))
+    assert np.isnan(rays[0, :2]).all()
+    assert lens.project(rays[1])[0] == pytest.approx(300)

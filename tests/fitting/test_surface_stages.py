@@ -10,10 +10,11 @@ from acquisition.patterns import Axis
 from calibration.lens import invert, rotation, rt_from_matrix, transform
 from fitting.canvas import InPlaneAxes, extract_canvas
 from fitting.errors import FittingError
-from fitting.neighbour_kernels import count_agreeing_neighbours, triangle_normals
+from fitting.neighbour_kernels import triangle_normals
 from fitting.range_image import triangulate
 from fitting.resampling import resample_heights
 from fitting.surface_noise import measure_surface_noise
+from fitting.triangulation_kernels import find_supported
 
 
 def depth_of_scene(rays: np.ndarray, relief) -> np.ndarray:
@@ -59,6 +60,17 @@ def test_points_and_their_variance_are_right(rig_geometry, axes):
     z = (found.points[..., 2] - points[..., 2]) / np.sqrt(found.depth_variance)
     assert found.valid.mean() > 0.999
     assert np.std(z[found.valid]) == pytest.approx(1, abs=0.03)
+
+
+def test_any_lens_model_gives_the_points_of_the_compiled_one(rig_geometry, monkeypatch):
+    noisy, _ = correspond(rig_geometry, bumps)
+    spoiled, _ = with_wrong_columns(noisy)
+    compiled = triangulate(spoiled, rig_geometry)
+    monkeypatch.setattr(type(rig_geometry.projector), "opencv_parameters", None)
+    plain = triangulate(spoiled, rig_geometry)
+    np.testing.assert_array_equal(plain.rejection, compiled.rejection)
+    np.testing.assert_allclose(plain.points, compiled.points, atol=1e-7)
+    np.testing.assert_allclose(plain.depth_variance, compiled.depth_variance, rtol=1e-5)
 
 
 def with_wrong_columns(correspondence, share=0.1):
@@ -112,17 +124,14 @@ def test_a_foreign_calibration_is_refused(rig_geometry):
         triangulate(exact, mirrored)
 
 
-def test_agreement_kernel_against_plain_loops():
+def test_supported_pixels_against_plain_loops():
     random = np.random.default_rng(0)
     depth = 400 + random.normal(0, 0.5, (12, 14))
-    depth[random.random(depth.shape) < 0.2] = np.nan
-    depth[5, 5] = 420
-    variance = np.full(depth.shape, 0.01)
-    share = count_agreeing_neighbours(depth, variance, 0.005, 3.0)
+    valid = random.random(depth.shape) > 0.2
+    valid[5, 5], depth[5, 5] = True, 420
+    variance = np.full(depth.shape, 0.01, np.float32)
+    found = find_supported(depth, variance, valid, 0.0005, 2.0, 0.3)
     for row, col in np.ndindex(depth.shape):
-        if np.isnan(depth[row, col]):
-            assert share[row, col] == 0
-            continue
         near = [
             (i, j)
             for i in range(max(0, row - 2), min(12, row + 3))
@@ -130,11 +139,13 @@ def test_agreement_kernel_against_plain_loops():
             if (i, j) != (row, col)
         ]
         agree = sum(
-            abs(depth[i, j] - depth[row, col])
-            < 0.005 * depth[row, col] * np.hypot(i - row, j - col) + 3 * np.sqrt(0.02)
+            valid[i, j]
+            and abs(depth[i, j] - depth[row, col])
+            < 0.0005 * depth[row, col] * np.hypot(i - row, j - col) + 2 * np.sqrt(0.02)
             for i, j in near
         )
-        assert share[row, col] == pytest.approx(agree / len(near))
+        assert found[row, col] == (valid[row, col] and agree >= 0.3 * len(near))
+    assert 0.2 < found[valid].mean() < 0.99
 
 
 def framed(x, y):
