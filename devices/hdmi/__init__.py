@@ -1,0 +1,1 @@
+"""A projector that is a second screen of this computer."""
