@@ -34,6 +34,8 @@ _FLICKER = 0.05
 _EXPOSURE_ERROR = 0.2
 # Exposures that differ by less are the same, by a camera that measures each.
 _SAME_EXPOSURE = 0.01
+# Standard deviations beyond which a sum of products is no chance.
+_UNLIKELY = 5.0
 # Neighbours in a difference of two frames correlate by less if it is noise.
 _LEAST_CORRELATION = 0.05
 # Samples on either side of every edge that a comparison needs to say anything.
@@ -162,15 +164,15 @@ class FrameOrder:
                 f"frame of {frame.subject}: the camera says that an exposure of {exposure} s ended "
                 f"at {ended} s; restart it and resume"
             )
-        early = since_s - (ended - exposure)
+        # A simulated exposure is not waited for, and begins when the one before it would end.
+        last_ended_s = -math.inf if self._last is None else self._last.monotonic_s
+        early = max(since_s, last_ended_s) - (ended - exposure)
         if early > _CLOCK_S:
             raise FrameOrderError(
                 f"frame of {frame.subject} is stale: its exposure began {early * 1000:.0f} ms "
                 "before that was there; empty the camera's buffer and resume"
             )
-        # A simulated exposure is not waited for, and begins when the one before it would end.
-        latest = delivered_s if self._last is None else max(delivered_s, self._last.monotonic_s)
-        ahead = ended - exposure - latest
+        ahead = ended - exposure - max(delivered_s, last_ended_s)
         if self._last is not None and ahead > _AHEAD_S:
             raise FrameOrderError(
                 f"frame of {frame.subject} was delivered {ahead * 1000:.0f} ms before its exposure "
@@ -180,7 +182,7 @@ class FrameOrder:
 
     def _check_novelty(self, frame: Frame) -> None:
         """Refuse a picture equal to an earlier one, unless it is too flat to carry noise."""
-        digest = hashlib.blake2b(np.ascontiguousarray(frame.image), digest_size=16).digest()
+        digest = hashlib.blake2b(frame.image.tobytes(), digest_size=16).digest()
         earlier = self._delivered.get(digest)
         if earlier is not None and _is_noisy(frame.image):
             raise FrameOrderError(
@@ -262,17 +264,20 @@ def differ_beyond_noise(
 
 
 def _is_structured(difference: NDArray[np.float64], valid: NDArray[np.bool_]) -> bool:
-    """Whether near pixels of a difference of two pictures are alike."""
-    count = np.count_nonzero(valid)
-    energy = float((difference**2).sum()) / count
+    """Whether near pixels of a difference of two pictures are alike.
+
+    Products of unrelated noise sum up to nothing but √Σ(product²), whatever its strength in
+    different parts of the picture.
+    """
+    energy = float((difference**2).sum()) / np.count_nonzero(valid)
     if energy == 0:
         return False
-    # The mean product of unrelated noise scatters by energy / √n.
-    least = max(5 / np.sqrt(count), _LEAST_CORRELATION) * energy
     # A fringe of 8 pixels is uncorrelated with itself 2 pixels on, but not 4 pixels on.
     for lag in (2, 4):
+        products = difference[:, lag:] * difference[:, :-lag]
         pairs = np.count_nonzero(valid[:, lag:] & valid[:, :-lag])
-        if pairs and abs((difference[:, lag:] * difference[:, :-lag]).sum()) / pairs > least:
+        chance = _UNLIKELY * float(np.sqrt((products**2).sum()))
+        if abs(products.sum()) > max(chance, _LEAST_CORRELATION * energy * pairs):
             return True
     return False
 

@@ -8,6 +8,7 @@ does not tell whether the light followed, the light is changed and changed back,
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -16,7 +17,7 @@ from types import TracebackType
 import numpy as np
 
 from devices.deadline import Deadline
-from devices.errors import DeviceError, FrameOrderError
+from devices.errors import DeviceError, DeviceLostError, DeviceTimeoutError, FrameOrderError
 from devices.frame_order import FrameOrder, Light, differ_beyond_noise
 from devices.interfaces import (
     ArmPose,
@@ -73,6 +74,8 @@ class Rig:
         self.source = source
         self._prove_light = prove_light
         self._showing: Projection | None = None
+        # The darkest and the brightest picture shown, for projectors that show only what they hold.
+        self._shown: tuple[Projection, ...] = ()
         self._since_s = time.monotonic()
         self._order: FrameOrder | None = None
 
@@ -126,6 +129,19 @@ class Rig:
         return self._arm is not None
 
     @property
+    def mount(self) -> CameraMount:
+        """The camera's mount.
+
+        Raises
+        ------
+        DeviceError
+            The rig has none.
+        """
+        if self._mount is None:
+            raise DeviceError("this rig has no camera mount; add a [mount] table to rig.toml")
+        return self._mount
+
+    @property
     def camera_positions(self) -> tuple[str, ...]:
         """Names of the places where the camera can stand; empty if it has just one."""
         return self._mount.positions if self._mount is not None else ()
@@ -150,6 +166,8 @@ class Rig:
         self._showing = None
         self._since_s = max(self._since_s, self.projector.show(projection))
         self._showing = projection
+        shown = sorted((*self._shown, projection), key=lambda picture: float(picture.image.mean()))
+        self._shown = tuple({picture.digest: picture for picture in (shown[0], shown[-1])}.values())
 
     def blank(self) -> None:
         """Put the projector's light out, if there is a projector."""
@@ -266,7 +284,7 @@ class Rig:
         frame = camera.capture(exposure_s, deadline=deadline)
         delivered_s = time.monotonic()
         frame = dataclasses.replace(frame, subject=self.subject)
-        _check_samples(frame, camera.capabilities)
+        _check_request(frame, exposure_s, camera.capabilities)
         if self._order is None:
             self._order = FrameOrder(saturation_level=camera.capabilities.saturation_level)
         told = self._order.check(
@@ -283,8 +301,9 @@ class Rig:
         assert order is not None
         lamp_before = order.light_before is not None and order.light_before.lamp_on
         for exposure in self._telling_exposures(frame, exposure_s):
-            away, again = self._change_light_and_back(exposure, lamp_before=lamp_before)
-            if self._differ(away, again):
+            changes = self._changes_of_light(exposure, lamp_before=lamp_before)
+            again = next((back for away, back in changes if self._differ(away, back)), None)
+            if again is not None:
                 break
         else:
             raise FrameOrderError(
@@ -315,34 +334,57 @@ class Rig:
             if not low <= exposure <= high:
                 return
 
-    def _change_light_and_back(
+    def _changes_of_light(
         self, exposure_s: float, *, lamp_before: bool
-    ) -> tuple[Frame, Frame]:
-        """A frame under other light than now, and one under the same light as now again."""
+    ) -> Iterator[tuple[Frame, Frame]]:
+        """Pairs of a frame under other light than now, and one under the light as it is now."""
         showing, lamp_on = self._showing, self.subject.lamp_on
-        if showing is not None:
-            self.show(_counterpart(showing))
-            away, _ = self._capture(exposure_s, None)
-            self.show(showing)
-        elif lamp_on or lamp_before or self._projector is None:
+        if showing is None and (lamp_on or lamp_before or self._projector is None):
             self.switch_lamp(not lamp_on)
             away, _ = self._capture(exposure_s, None)
             self.switch_lamp(lamp_on)
-        else:
-            width, height = self.projector.capabilities.size
-            self.show(_counterpart(Projection("darkness", np.zeros((height, width), np.uint8))))
+            yield away, self._capture(exposure_s, None)[0]
+            return
+        for _ in self._show_others(showing):
             away, _ = self._capture(exposure_s, None)
-            self.blank()
-        again, _ = self._capture(exposure_s, None)
-        return away, again
+            if showing is None:
+                self.blank()
+            else:
+                self.show(showing)
+            yield away, self._capture(exposure_s, None)[0]
+
+    def _show_others(self, showing: Projection | None) -> Iterator[None]:
+        """Show what cannot be taken for ``showing``, nor for what may have been shown before it."""
+        width, height = self.projector.capabilities.size
+        dark = Projection("darkness", np.zeros((height, width), np.uint8))
+        try:
+            self.show(_counterpart(showing or dark))
+        except (DeviceTimeoutError, DeviceLostError):
+            raise
+        except DeviceError:
+            # A projector that shows only what it holds.
+            for picture in self._shown:
+                if showing is None or picture.digest != showing.digest:
+                    self.show(picture)
+                    yield
+            if showing is not None:
+                self.blank()
+                yield
+        else:
+            yield
 
     def _differ(self, frame: Frame, other: Frame) -> bool:
         level = self.camera.capabilities.saturation_level
         return differ_beyond_noise(frame.image, other.image, saturation_level=level)
 
 
-def _check_samples(frame: Frame, camera: CameraCapabilities) -> None:
-    """Refuse a frame of another size or type than the camera's."""
+def _check_request(frame: Frame, exposure_s: float, camera: CameraCapabilities) -> None:
+    """Refuse a frame of another exposure than was asked for, or of another size or type."""
+    if not math.isclose(frame.exposure_asked_s, exposure_s):
+        raise FrameOrderError(
+            f"frame of {frame.subject} was asked for with {exposure_s:g} s and is one that was "
+            f"asked for with {frame.exposure_asked_s:g} s; empty the camera's buffer and resume"
+        )
     image = frame.image
     if image.shape != (camera.height, camera.width) or image.dtype not in (np.uint8, np.uint16):
         size = "×".join(map(str, reversed(image.shape)))
