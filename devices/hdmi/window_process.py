@@ -26,8 +26,6 @@ _COMMANDS_FD = 0
 # A driver may queue two frames before a flip waits; when the third has returned the first is out.
 _FLIPS = 3
 _TIMED_FLIPS = 15
-# Flips faster than this are no screen's.
-_FASTEST_REFRESH_HZ = 250.0
 _USUAL_REFRESH_HZ = 60.0
 _SCREEN_SAVER_S = 30.0
 _VERTEX = """#version 330 core
@@ -74,11 +72,12 @@ class _Window:
 
     def __init__(self, pyglet: Any, screen: Screen, pyglet_screen: Any, memory: int) -> None:
         self._gl = gl = pyglet.gl
+        self._xlib = pyglet.libs.x11.xlib
         self._screen = screen
         self.gone = False
         self._exposed = False
         self._blank = True
-        self._window = pyglet.window.Window(
+        self._window = _leave_mouse_alone(pyglet.window.Window)(
             screen=pyglet_screen,
             fullscreen=True,
             vsync=True,
@@ -124,6 +123,8 @@ class _Window:
             self._draw()
             self._window.flip()
             self._gl.glFinish()
+        # Without direct rendering the frame goes through the X server, which may lag behind.
+        self._xlib.XSync(self._window.display._display, False)
         self._exposed = False
         return time.monotonic()
 
@@ -135,9 +136,7 @@ class _Window:
 
     def keep_awake(self) -> None:
         """Put off the screen saver, and the screen's standby with it."""
-        from pyglet.libs.x11 import xlib
-
-        xlib.XResetScreenSaver(self._window.display._display)
+        self._xlib.XResetScreenSaver(self._window.display._display)
 
     def check(self) -> None:
         """Refuse a window that is not, pixel by pixel, the whole screen.
@@ -237,6 +236,19 @@ class _Window:
         self._exposed = True
 
 
+def _leave_mouse_alone(window: Any) -> Any:
+    """The class of window, but for pyglet's habit of keeping the mouse inside a full screen.
+
+    The operator's mouse is needed on the other screen.
+    """
+
+    class Window(window):
+        def _update_exclusivity(self) -> None:
+            self._applied_mouse_exclusive = False
+
+    return Window
+
+
 def _open_window(pyglet: Any, request: dict[str, Any]) -> tuple[_Window, Screen]:
     screens = read_screens(pyglet)
     for screen, pyglet_screen in screens:
@@ -252,8 +264,8 @@ def _frame_period(window: _Window, screen: Screen) -> tuple[float, bool]:
     measured = window.time_flips()
     if screen.refresh_hz > 0:
         return 1 / screen.refresh_hz, measured > 0.8 / screen.refresh_hz
-    synchronised = measured > 1 / _FASTEST_REFRESH_HZ
-    return measured if synchronised else 1 / _USUAL_REFRESH_HZ, synchronised
+    # A screen that does not tell its refresh gives nothing to hold flips against.
+    return 1 / _USUAL_REFRESH_HZ, False
 
 
 def _obey(command: str, window: _Window, pipe: _Pipe) -> None:
@@ -275,8 +287,9 @@ def _serve(window: _Window, pipe: _Pipe, stall_s: float) -> None:
     """Obey commands until the pipe closes, the parent stalls or says so, or the window is gone."""
     heard = awake = time.monotonic()
     while not window.gone:
-        select.select([_COMMANDS_FD, window.fileno], [], [], stall_s / 10)
+        # Events may wait inside Xlib already, where select does not see them.
         window.dispatch_events()
+        select.select([_COMMANDS_FD, window.fileno], [], [], min(0.5, stall_s / 10))
         for command in pipe.commands():
             heard = time.monotonic()
             if command == "close":
