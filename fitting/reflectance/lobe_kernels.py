@@ -1,0 +1,221 @@
+"""Compiled sums behind variable projection: one lobe, three colour channels.
+
+For given lobe parameters the model is linear in ρ_d and ρ_s, so that every quantity of a
+Levenberg-Marquardt step (cost, gradient, the Hessian of Gauss and Newton with the linear part
+projected out: Golub and Pereyra 1973, Kaufman 1975) follows from a few sums over the samples.
+Each kernel has a plain NumPy reference in ``tests/fitting/reflectance``.
+
+Layout: ``weight[c, i]`` is u cos²θ w / σ² of channel c and sample i (u: the robust weight),
+``target[c, i]`` is u cos θ w y / σ², with y the radiance over the irradiance at normal incidence.
+``axes[0..2, i]`` is −v_x l_x, −v_y l_y, v_z l_z. Lobe parameters are (ln k, ln r, ln c) with
+r = C_z / |C_x| and c = C_y / C_x, and ρ_s is the highlight's value at normal incidence seen
+head-on: (d / r)**k with d = −v_x l_x − c v_y l_y + r v_z l_z.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from fitting.reflectance.elementary_functions import vector_exp, vector_log
+
+PARAMETERS = 3
+CHANNELS = 3
+_SMALLEST_BASE = 1e-30
+_LARGEST_EXPONENT = 250.0
+_SUMS = {"reassoc", "contract", "nsz", "arcp"}
+Floats = NDArray[np.float64]
+
+
+class Workspace(NamedTuple):
+    """Buffers of one texel's fit, reused from texel to texel.
+
+    Attributes
+    ----------
+    axes : (3, n) array
+        Products of directions, see above.
+    rows : (6, n) array
+        cos θ √w / σ and y √w / σ per channel.
+    weight, target : (3, n) array
+    lobe : (n,) array
+        The lobe at the samples.
+    slopes : (3, n) array
+        Its derivatives by ln k, ln r, ln c.
+    sums : (3, 5) array
+    by_column : (3, 3, 3) array
+    by_slope : (3, 3, 3) array
+    gradient : (3,) array
+    hessian : (3, 3) array
+        Lower triangle.
+    """
+
+    axes: Floats
+    rows: Floats
+    weight: Floats
+    target: Floats
+    lobe: Floats
+    slopes: Floats
+    sums: Floats
+    by_column: Floats
+    by_slope: Floats
+    gradient: Floats
+    hessian: Floats
+
+
+@njit(cache=True)
+def make_workspace(samples: int) -> Workspace:
+    """Room for a texel of that many samples."""
+    return Workspace(
+        np.empty((3, samples)),
+        np.empty((2 * CHANNELS, samples)),
+        np.empty((CHANNELS, samples)),
+        np.empty((CHANNELS, samples)),
+        np.empty(samples),
+        np.empty((PARAMETERS, samples)),
+        np.empty((CHANNELS, 5)),
+        np.zeros((CHANNELS, PARAMETERS, 3)),
+        np.zeros((CHANNELS, PARAMETERS, PARAMETERS)),
+        np.zeros(PARAMETERS),
+        np.zeros((PARAMETERS, PARAMETERS)),
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def evaluate_lobe(axes: Floats, n: int, theta: Floats, lobe: Floats, slopes: Floats) -> None:
+    """Fill the lobe and its derivatives by ln k, ln r and ln c at ``n`` samples."""
+    k = math.exp(theta[0])
+    r = math.exp(theta[1])
+    c = math.exp(theta[2])
+    ln_r = theta[1]
+    for i in range(n):
+        across = c * axes[1, i]
+        along = r * axes[2, i]
+        d = axes[0, i] + across + along
+        lit = d > _SMALLEST_BASE
+        d = d if lit else _SMALLEST_BASE
+        exponent = k * (vector_log(d) - ln_r)
+        inside = abs(exponent) < _LARGEST_EXPONENT
+        held = min(max(exponent, -_LARGEST_EXPONENT), _LARGEST_EXPONENT)
+        b = vector_exp(held) if lit else 0.0
+        rise = b if inside else 0.0
+        by_base = rise * k / d
+        lobe[i] = b
+        slopes[0, i] = rise * exponent
+        slopes[1, i] = by_base * along - rise * k
+        slopes[2, i] = by_base * across
+
+
+@njit(cache=True, fastmath=_SUMS, error_model="numpy")
+def sum_columns(weight: Floats, target: Floats, lobe: Floats, n: int, sums: Floats) -> None:
+    """Per channel: Σw, Σwb, Σwb², Σt, Σtb."""
+    for c in range(CHANNELS):
+        w_1 = 0.0
+        w_b = 0.0
+        w_bb = 0.0
+        t_1 = 0.0
+        t_b = 0.0
+        for i in range(n):
+            b = lobe[i]
+            w = weight[c, i]
+            t = target[c, i]
+            wb = w * b
+            w_1 += w
+            w_b += wb
+            w_bb += wb * b
+            t_1 += t
+            t_b += t * b
+        sums[c, 0] = w_1
+        sums[c, 1] = w_b
+        sums[c, 2] = w_bb
+        sums[c, 3] = t_1
+        sums[c, 4] = t_b
+
+
+@njit(cache=True, fastmath=_SUMS, error_model="numpy")
+def sum_slopes(
+    weight: Floats,
+    target: Floats,
+    lobe: Floats,
+    slopes: Floats,
+    n: int,
+    free: int,
+    by_column: Floats,
+    by_slope: Floats,
+) -> None:
+    """Per channel and parameter p: Σw s_p, Σwb s_p, Σt s_p and Σw s_p s_q for q ≤ p."""
+    for c in range(CHANNELS):
+        for p in range(free):
+            w_s = 0.0
+            wb_s = 0.0
+            t_s = 0.0
+            w_ss = 0.0
+            for i in range(n):
+                s = slopes[p, i]
+                ws = weight[c, i] * s
+                w_s += ws
+                wb_s += ws * lobe[i]
+                t_s += target[c, i] * s
+                w_ss += ws * s
+            by_column[c, p, 0] = w_s
+            by_column[c, p, 1] = wb_s
+            by_column[c, p, 2] = t_s
+            by_slope[c, p, p] = w_ss
+            for q in range(p):
+                w_ss = 0.0
+                for i in range(n):
+                    w_ss += weight[c, i] * slopes[p, i] * slopes[q, i]
+                by_slope[c, p, q] = w_ss
+
+
+@njit(cache=True, error_model="numpy")
+def solve_channel(
+    a_dd: float, a_ds: float, a_ss: float, t_d: float, t_s: float
+) -> tuple[float, float, float]:
+    """Least squares in (ρ_d, ρ_s) ≥ 0 from normal equations; also what they take off the cost."""
+    only_d = max(t_d, 0.0) / a_dd
+    only_s = max(t_s, 0.0) / a_ss
+    det = a_dd * a_ss - a_ds * a_ds
+    if det > 1e-13 * a_dd * a_ss:
+        rho_d = (t_d * a_ss - t_s * a_ds) / det
+        rho_s = (t_s * a_dd - t_d * a_ds) / det
+        if rho_d >= 0.0 and rho_s >= 0.0:
+            return rho_d, rho_s, rho_d * t_d + rho_s * t_s
+    gain_d = only_d * t_d
+    gain_s = only_s * t_s
+    if gain_d >= gain_s:
+        return only_d, 0.0, gain_d
+    return 0.0, only_s, gain_s
+
+
+@njit(cache=True, fastmath=_SUMS, error_model="numpy")
+def huber_weights(
+    rows: Floats,
+    lobe: Floats,
+    rho: Floats,
+    n: int,
+    limit: float,
+    weight: Floats,
+    target: Floats,
+) -> float:
+    """Reweight all samples by Huber's rule at the present fit; return twice Huber's cost.
+
+    ``rows[0..2]`` is cos θ √w / σ and ``rows[3..5]`` is y √w / σ per channel.
+    """
+    cost = 0.0
+    for c in range(CHANNELS):
+        rho_d = rho[0, c]
+        rho_s = rho[1, c]
+        for i in range(n):
+            g = rows[c, i]
+            y = rows[CHANNELS + c, i]
+            residual = abs(y - g * (rho_d + rho_s * lobe[i]))
+            near = residual <= limit
+            u = 1.0 if near else limit / residual
+            cost += residual * residual if near else limit * (2.0 * residual - limit)
+            weight[c, i] = u * g * g
+            target[c, i] = u * g * y
+    return cost
