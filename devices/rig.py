@@ -51,8 +51,8 @@ class Rig:
     source : str
         Kept in plans: ``"rig"`` or ``"simulation"``.
     prove_light : bool
-        Whether a frame that does not tell if the light changed is taken again after other light.
-        Recorded frames went through that when they were taken, and hold nothing else.
+        Whether the light is proven where a frame does not tell if it changed. Recorded frames went
+        through that when they were taken, and a recording holds nothing that it could be done with.
     """
 
     def __init__(
@@ -207,8 +207,9 @@ class Rig:
         """Take a frame of what is lit now, and make sure that it is.
 
         Where the picture does not show that the light followed what it was told, the light is
-        changed and changed back, and the frame taken again: patterns can be alike on the part of
-        the panel that the camera sees. That is done for the first light of a recording too.
+        changed and changed back, and the frame held against another one: patterns can be alike on
+        the part of the panel that the camera sees. That is done for the first light of a recording
+        too.
 
         Raises
         ------
@@ -217,9 +218,9 @@ class Rig:
             a :class:`~devices.errors.FrameOrderError` if it is not of its subject.
         """
         frame, told = self._capture(exposure_s, deadline)
-        if told or not self._prove_light:
-            return frame
-        return self._prove(frame, exposure_s)
+        if self._prove_light and not told:
+            self._prove(frame, exposure_s)
+        return frame
 
     def make_safe(self) -> None:
         """Stop motion and put every light out; goes on to the next device if one fails.
@@ -295,8 +296,12 @@ class Rig:
         )
         return frame, told
 
-    def _prove(self, frame: Frame, exposure_s: float) -> Frame:
-        """Take a frame again after other light; the light must be seen to go and to come back."""
+    def _prove(self, frame: Frame, exposure_s: float) -> None:
+        """Have the light seen to go and to come back as it was when a frame was taken.
+
+        The frame itself stays the one that counts, so that a recording is the same wherever it was
+        cut off and resumed.
+        """
         order = self._order
         assert order is not None
         lamp_before = order.light_before is not None and order.light_before.lamp_on
@@ -319,7 +324,6 @@ class Rig:
                 "it says; raise its latency in rig.toml and resume"
             )
         order.accept_light()
-        return again
 
     def _telling_exposures(self, frame: Frame, exposure_s: float) -> Iterator[float]:
         """Exposures at which a change of light should be seen: that of the frame first."""

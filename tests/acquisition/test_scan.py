@@ -117,6 +117,23 @@ def test_a_scan_that_would_record_other_than_planned_is_refused(rig, tmp_path, c
 
 
 @pytest.mark.parametrize("exposure_s", [0.03, 0.0003])
+def test_a_proof_leaves_the_frame_that_was_taken_first(rig):
+    """So that the same frame is recorded by a scan and by one that is resumed with it."""
+    taken = []
+
+    class Watched(Wrapped):
+        def capture(self, exposure_s, *, deadline=None):
+            taken.append(self._device.capture(exposure_s, deadline=deadline))
+            return taken[-1]
+
+    watched = Rig(Watched(rig.camera), rig.projector)
+    watched.show(Projection("white", np.full((570, 912), 255, np.uint8)))
+    frame = watched.capture(0.03)
+    assert len(taken) == 3
+    assert frame.image is taken[0].image
+
+
+@pytest.mark.parametrize("exposure_s", [0.03, 0.0003])
 def test_white_must_be_brighter_than_black(rig, tmp_path, exposure_s):
     plan = plan_scan(devices(rig), exposure_s=exposure_s)
     trusting = Rig(rig.camera, OneLate(rig.projector), prove_light=False)
