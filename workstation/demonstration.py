@@ -13,9 +13,9 @@ from acquisition.scan import plan_scan, scan
 from acquisition.session_writer import SessionWriter
 from calibration.lens import Lens, compose, invert, rt_from_matrix, transform
 from calibration.rig_geometry import RigGeometry
-from devices.rig import Rig
 from devices.simulated.optics import SimulatedLens
 from devices.simulated.rig import SimulatedRig
+from devices.simulated.truth import truth_of
 from fitting.digital_copy import DigitalCopy
 
 EXPOSURE_S = 0.045
@@ -57,7 +57,7 @@ def record_simulated_scan(
     rig: SimulatedRig, out: Path, *, advance: Callable[[str], None] = lambda frame: None
 ) -> None:
     """Scan a simulated rig into a session that carries the rig's true calibration."""
-    devices = Rig(rig.camera, rig.projector, source="simulation")
+    devices = rig.open()
     plan = plan_scan(devices, exposure_s=EXPOSURE_S)
     with TemporaryDirectory() as folder:
         true_geometry(rig).save(Path(folder))
@@ -83,7 +83,7 @@ def measure_height_error(copy: DigitalCopy, rig: SimulatedRig) -> HeightError:
     local = np.stack([x, y, field.height], axis=-1)[field.mask].astype(np.float64)
     rt_true_canvas = compose(invert(_pose(rig.camera_lens)), field.rt_cam_canvas)
     points = transform(rt_true_canvas, local)
-    error = points[:, 2] - rig.painting.height_at(points[:, 0], points[:, 1])
+    error = points[:, 2] - truth_of(rig.scene).height_at(points[:, 0], points[:, 1])
     sigma = np.sqrt(field.variance[field.mask].astype(np.float64))
     half = np.array(rig.painting.canvas_mm) / 2
     beyond = (np.abs(points[:, :2]) > half).any(axis=1)

@@ -8,7 +8,8 @@ from __future__ import annotations
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from devices.simulated.rig import Sensor, demo_rig
+from devices.simulated.rig import demo_rig
+from devices.simulated.sensor import Sensor
 from workstation.demonstration import record_simulated_scan
 from workstation.processing import process_session
 

@@ -131,6 +131,7 @@ def paint_oil(
         bristle_mm=0.8,
         level_mm=0.12,
         moulding_mm=30.0,
+        varnished=0.45,
     )
 
 
@@ -142,7 +143,7 @@ def paint_small_oil(
     relief_mm: float = 2.0,
     frame_mm: float = 14.0,
 ) -> Surface:
-    """A small oil sketch in smooth, thick paint in a frame, before a wall.
+    """A small, unvarnished oil sketch in smooth, thick paint, in a frame before a wall.
 
     Parameters
     ----------
@@ -186,6 +187,7 @@ def paint_small_oil(
         bristle_mm=1.3,
         level_mm=0.35,
         moulding_mm=20.0,
+        varnished=0.0,
     )
 
 
@@ -201,6 +203,7 @@ def _paint(
     bristle_mm: float,
     level_mm: float,
     moulding_mm: float,
+    varnished: float,
 ) -> Surface:
     random = np.random.default_rng(seed)
     canvas = stretch_canvas(
@@ -214,7 +217,8 @@ def _paint(
     # Paint levels under its surface tension before it dries.
     cv2.GaussianBlur(canvas.height, (0, 0), level_mm / pitch_mm, dst=canvas.height)
     _limit(canvas, relief_mm)
-    varnish_patches(canvas, share=0.45, random=random)
+    if varnished > 0:
+        varnish_patches(canvas, share=varnished, random=random)
     if frame_mm > 0:
         frame_and_wall(canvas, frame_mm=frame_mm)
     return canvas.finish()

@@ -1,234 +1,196 @@
-"""The simulated rig: a camera that sees what a projector shows on a painting.
-
-The geometry is cast once per rig; a frame is then the projected picture looked up at every pixel's
-panel coordinate, shaded, and put through the sensor. Everything is a function of the seed.
-"""
+"""The simulated rig: a scene and the devices that light it and look at it."""
 
 from __future__ import annotations
 
-import time
+import math
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.deadline import Deadline
-from devices.errors import DeviceError, DeviceTimeoutError
-from devices.interfaces import CameraCapabilities, Frame, Projection, ProjectorCapabilities
-from devices.simulated.optics import SimulatedLens
-from devices.simulated.painting import Painting, paint_small_oil
-from devices.simulated.ray_kernels import cast_rays, lit_from, look_up
+from devices.interfaces import ArmLimits, ArmPose
+from devices.rig import Rig
+from devices.simulated.arm_kinematics import ArmKinematics, Lamp
+from devices.simulated.board import BoardPattern, make_board
+from devices.simulated.camera import SimulatedCamera, SimulatedMount
+from devices.simulated.canvas_ground import WALL_MM
+from devices.simulated.light_arm import ArmMechanism, SimulatedLightArm
+from devices.simulated.oil_painting import paint_oil, paint_small_oil
+from devices.simulated.optics import PanelResponse, SimulatedLens
+from devices.simulated.projector import SimulatedProjector
+from devices.simulated.scene import SimulatedScene
+from devices.simulated.scene_objects import PlacedSurface, Wall
+from devices.simulated.sensor import Sensor
+from devices.simulated.settings import ArmErrors, PaintingKind, SimulationSettings
+from devices.simulated.surface import Surface
+from devices.simulated.torture_piece import make_torture_piece
 
-
-@dataclass(frozen=True, kw_only=True)
-class Sensor:
-    """A linear sensor.
-
-    Attributes
-    ----------
-    full_well_e : float
-        Electrons at saturation.
-    read_noise_e : float
-        Standard deviation of the read-out.
-    bits : int
-        Of the converter; full scale is the full well.
-    black_level : float
-        Offset in sensor numbers.
-    """
-
-    full_well_e: float = 10_000.0
-    read_noise_e: float = 8.0
-    bits: int = 10
-    black_level: float = 8.0
-
-    @property
-    def ceiling(self) -> int:
-        """Largest sensor number."""
-        return 2**self.bits - 1
-
-    def expose(
-        self, electrons: NDArray[np.float64], random: np.random.Generator
-    ) -> NDArray[np.uint8] | NDArray[np.uint16]:
-        """Sensor numbers of expected electrons (rows, cols): photon and read noise, quantised."""
-        caught = random.poisson(np.minimum(electrons, 4 * self.full_well_e)).astype(np.float64)
-        caught += random.normal(0.0, self.read_noise_e, caught.shape)
-        numbers = caught * self.ceiling / self.full_well_e + self.black_level
-        kind = np.uint8 if self.bits <= 8 else np.uint16
-        return np.clip(np.round(numbers), 0, self.ceiling).astype(kind)
+# The field that the camera is to see, in units of its distance, at the default focal length.
+_FIELD = 1 / 2.3
 
 
 @dataclass(frozen=True)
-class SceneTruth:
-    """What the camera would know without noise, for tests and the demo's figures only.
+class SimulatedRig:
+    """A scene with its devices.
 
     Attributes
     ----------
-    points : (rows, cols, 3) float64 array
-        Surface points in the canvas frame; NaN where the camera sees nothing.
-    panel : (rows, cols, 2) float64 array
-        Projector column and row that light each pixel.
-    shading : (rows, cols) float64 array
-        Radiance per projected level, 1 for a white surface facing the projector at the canvas.
+    scene : SimulatedScene
+    camera : SimulatedCamera
+    projector : SimulatedProjector
+    arm : SimulatedLightArm
+    mount : SimulatedMount
     """
 
-    points: NDArray[np.float64]
-    panel: NDArray[np.float64]
-    shading: NDArray[np.float64]
+    scene: SimulatedScene
+    camera: SimulatedCamera
+    projector: SimulatedProjector
+    arm: SimulatedLightArm
+    mount: SimulatedMount
+
+    @classmethod
+    def of(
+        cls,
+        scene: SimulatedScene,
+        *,
+        limits: ArmLimits | None = None,
+        speed: float = math.radians(30),
+        real_time: bool = False,
+    ) -> SimulatedRig:
+        """Give a scene its devices."""
+        limits = limits or ArmLimits((0.0, math.radians(350)), (math.radians(15), math.radians(85)))
+        # Nobody knows where an arm stands that has just been switched on.
+        random = np.random.default_rng([scene.seed, 0x41524D])
+        anywhere = [
+            low + random.uniform(0.2, 0.8) * (high - low)
+            for low, high in (limits.azimuth, limits.elevation)
+        ]
+        mechanism = ArmMechanism(ArmPose(*anywhere))
+        scene.carry_lamp(mechanism)
+        return cls(
+            scene,
+            SimulatedCamera(scene),
+            SimulatedProjector(scene),
+            SimulatedLightArm(mechanism, limits=limits, speed=speed, real_time=real_time),
+            SimulatedMount(scene),
+        )
+
+    @classmethod
+    def before(
+        cls,
+        surface: Surface,
+        camera: SimulatedLens,
+        projector: SimulatedLens,
+        *,
+        sensor: Sensor | None = None,
+        panel: PanelResponse | None = None,
+        ambient: float = 0.0,
+        seed: int = 0,
+    ) -> SimulatedRig:
+        """A rig with one place for the camera, before a surface that hangs where it should."""
+        scene = SimulatedScene(
+            PlacedSurface(surface),
+            (Wall(surface.back_mm),),
+            {"front": camera},
+            projector,
+            sensor=sensor,
+            panel=panel,
+            ambient=ambient,
+            seed=seed,
+        )
+        return cls.of(scene)
+
+    @property
+    def painting(self) -> Surface:
+        """What stands before the camera."""
+        return self.scene.subject.surface
+
+    @property
+    def camera_lens(self) -> SimulatedLens:
+        """The camera's lens where it stands."""
+        return self.scene.cameras[self.scene.position]
+
+    @property
+    def projector_lens(self) -> SimulatedLens:
+        """The projector's lens."""
+        return self.scene.projector
+
+    def electrons(self, exposure_s: float) -> NDArray[np.float64]:
+        """Electrons (rows, cols) that a frame would hold on average in a perfect sensor."""
+        return self.scene.electrons(exposure_s)
+
+    def open(self) -> Rig:
+        """The rig, as any other."""
+        return Rig(self.camera, self.projector, self.arm, self.mount, source="simulation")
 
 
-class SimulatedRig:
-    """Painting, light, camera and projector; ``camera`` and ``projector`` are its devices.
+def build_rig(settings: SimulationSettings) -> SimulatedRig:
+    """Make a simulated rig.
 
     Parameters
     ----------
-    painting : Painting
-    camera_lens, projector_lens : SimulatedLens
-    sensor : Sensor
-    seed : int
-        Of the noise; each frame has its own, by sequence number.
-    blur_px : float
-        Standard deviation of the projector's blur on its panel.
-    gamma : float
-        Exponent of the projector's response.
-    black : float
-        Light of a dark projector, as a share of full light.
-    gloss : float
-        Strength of the highlights (a microfacet lobe) beside the diffuse reflection.
+    settings : SimulationSettings
     """
-
-    def __init__(
-        self,
-        painting: Painting,
-        camera_lens: SimulatedLens,
-        projector_lens: SimulatedLens,
-        *,
-        sensor: Sensor | None = None,
-        seed: int = 0,
-        blur_px: float = 0.6,
-        gamma: float = 1.0,
-        black: float = 0.004,
-        gloss: float = 0.02,
-    ) -> None:
-        self.painting = painting
-        self.camera_lens = camera_lens
-        self.projector_lens = projector_lens
-        self.sensor = sensor or Sensor()
-        self.truth = _cast(painting, camera_lens, projector_lens, gloss)
-        self._seed = seed
-        self._blur_px = blur_px
-        self._gamma = gamma
-        self._black = black
-        self._shown = np.zeros((projector_lens.height, projector_lens.width), np.float32)
-        self.camera = SimulatedCamera(self)
-        self.projector = SimulatedProjector(self)
-
-    def show(self, image: NDArray[np.uint8]) -> None:
-        """Put a picture on the projector's panel."""
-        level = (image.astype(np.float32) / 255) ** self._gamma
-        if self._blur_px > 0:
-            level = cv2.GaussianBlur(level, (0, 0), self._blur_px).astype(np.float32)
-        self._shown = np.float32(self._black) + np.float32(1 - self._black) * level
-
-    def electrons(self, exposure_s: float) -> NDArray[np.float64]:
-        """Expected electrons of every camera pixel (rows, cols) under what is shown now."""
-        light = look_up(self._shown, self.truth.panel.reshape(-1, 2))
-        light = light.reshape(self.truth.shading.shape)
-        # A second of full light on white paper fills the well twentyfold.
-        scale = 20 * self.sensor.full_well_e * exposure_s
-        return np.asarray(np.maximum(light, 0.0) * self.truth.shading * scale)
-
-    def noise_of_frame(self, sequence: int) -> np.random.Generator:
-        """Random numbers of one frame, independent of all others."""
-        return np.random.default_rng([self._seed, sequence])
-
-
-class SimulatedCamera:
-    """The rig's camera."""
-
-    def __init__(self, rig: SimulatedRig) -> None:
-        self._rig = rig
-        self._sequence = 0
-        self._closed = False
-        self._ended = 0.0
-
-    @property
-    def capabilities(self) -> CameraCapabilities:
-        """Size and range of the simulated sensor."""
-        lens = self._rig.camera_lens
-        return CameraCapabilities(
-            model="simulated camera",
-            width=lens.width,
-            height=lens.height,
-            saturation_level=self._rig.sensor.ceiling,
-            exposure_range_s=(1e-6, 60.0),
-        )
-
-    def capture(self, exposure_s: float, *, deadline: Deadline | None = None) -> Frame:
-        """Take one frame of what the projector shows now.
-
-        Nobody waits for a simulated exposure: the frame says when it would have ended.
-
-        Raises
-        ------
-        DeviceError
-            The camera is closed, the exposure is out of range, or the deadline has passed.
-        """
-        if self._closed:
-            raise DeviceError("the simulated camera is closed")
-        self.capabilities.check_exposure(exposure_s)
-        began = max(time.monotonic(), self._ended)
-        self._sequence += 1
-        image = self._rig.sensor.expose(
-            self._rig.electrons(exposure_s), self._rig.noise_of_frame(self._sequence)
-        )
-        now = time.monotonic()
-        if deadline is not None and deadline.passed:
-            raise DeviceTimeoutError("the simulated camera did not deliver in time")
-        self._ended = began + exposure_s
-        wall_time = time.time() + self._ended - now
-        return Frame(image, self._sequence, exposure_s, exposure_s, self._ended, wall_time)
-
-    def close(self) -> None:
-        """Release the camera."""
-        self._closed = True
-
-
-class SimulatedProjector:
-    """The rig's projector."""
-
-    def __init__(self, rig: SimulatedRig) -> None:
-        self._rig = rig
-        self._closed = False
-
-    @property
-    def capabilities(self) -> ProjectorCapabilities:
-        """Size of the simulated panel."""
-        lens = self._rig.projector_lens
-        return ProjectorCapabilities("simulated projector", lens.width, lens.height, 1 / 60)
-
-    def show(self, projection: Projection, *, deadline: Deadline | None = None) -> float:
-        """Show a picture of the panel's size."""
-        if self._closed:
-            raise DeviceError("the simulated projector is closed")
-        self.capabilities.check_projection(projection)
-        self._rig.show(projection.image)
-        return time.monotonic()
-
-    def blank(self) -> None:
-        """Show black."""
-        self._rig.show(np.zeros(self.capabilities.size[::-1], np.uint8))
-
-    def close(self) -> None:
-        """Blank the panel."""
-        self.blank()
-        self._closed = True
+    surface = _surface(settings.painting, settings.seed)
+    small = settings.painting is PaintingKind.SMALL_OIL
+    width = settings.camera_width or (800 if small else 2048)
+    height = settings.camera_height or width * 3 // 4
+    # The camera stands where its default lens sees the whole surface.
+    extent = [(size - 1) * surface.pitch_mm for size in surface.height.shape]
+    distance = round(max(extent[1], extent[0] * 4 / 3) / _FIELD, -1)
+    positions = settings.positions or _around(distance)
+    first = next(iter(positions.values()))
+    front = SimulatedLens.looking_at(
+        width=width,
+        height=height,
+        focal_px=settings.focal_px or width / _FIELD,
+        position=first,
+        target=(0.0, 0.0, 0.0),
+        distortion=settings.distortion,
+        vignetting=settings.vignetting,
+    )
+    sensor = Sensor(
+        full_well_e=settings.full_well_e,
+        read_noise_e=settings.read_noise_e,
+        bits=settings.bits,
+        black_level=settings.black_level,
+        gain=settings.gain,
+        prnu=settings.prnu,
+        dsnu_e=settings.dsnu_e,
+        bayer=settings.bayer,
+    )
+    scene = SimulatedScene(
+        PlacedSurface(surface),
+        (Wall(_wall_mm(settings.painting)),),
+        {name: front.moved(place, (0.0, 0.0, 0.0)) for name, place in positions.items()},
+        _projector(settings, distance),
+        panel=PanelResponse(
+            gamma=settings.gamma, blur_px=settings.blur_px, black=settings.projector_black
+        ),
+        sensor=sensor,
+        arm=_arm(settings.arm, distance),
+        lamp=Lamp(
+            exponent=settings.arm.lamp_exponent,
+            colour=settings.arm.lamp_colour,
+            aim_error=settings.arm.aim_error_mm,
+        ),
+        ambient=settings.ambient,
+        seed=settings.seed,
+    )
+    low_high = (settings.arm.azimuth_deg, settings.arm.elevation_deg)
+    limits = [(math.radians(low), math.radians(high)) for low, high in low_high]
+    return SimulatedRig.of(
+        scene,
+        limits=ArmLimits(*limits),
+        speed=math.radians(settings.arm.speed_deg_per_s),
+        real_time=settings.arm.real_time,
+    )
 
 
 def demo_rig(
     *, seed: int = 0, camera_width: int = 800, sensor: Sensor | None = None
 ) -> SimulatedRig:
-    """The small rig of the demo: an oil painting of 120 × 90 mm in a frame, 450 mm away.
+    """The small rig of the demo: an oil sketch of 120 × 90 mm in a frame, 450 mm away.
 
     Parameters
     ----------
@@ -255,36 +217,75 @@ def demo_rig(
         distortion=(-0.05, 0.03, -5e-4, 2e-4, 0.0),
         centre_shift=(6.0, 40.0),
     )
-    painting = paint_small_oil(seed=seed)
-    return SimulatedRig(painting, camera, projector, sensor=sensor, seed=seed)
+    places = {name: camera.moved(place, (0.0, 0.0, 0.0)) for name, place in _around(450.0).items()}
+    scene = SimulatedScene(
+        PlacedSurface(paint_small_oil(seed=seed)),
+        (Wall(WALL_MM),),
+        places | {"front": camera},
+        projector,
+        sensor=sensor,
+        arm=_arm(ArmErrors(), 450.0),
+        seed=seed,
+    )
+    return SimulatedRig.of(scene)
 
 
-def _cast(
-    painting: Painting, camera: SimulatedLens, projector: SimulatedLens, gloss: float
-) -> SceneTruth:
-    """Cast every camera pixel onto the painting, and look back from the projector."""
-    low, high = float(painting.height.min()), float(painting.height.max())
-    rays = camera.rays()
-    eye, lamp = camera.position, projector.position
-    distance = cast_rays(painting.height, painting.pitch_mm, eye, rays, low, high)
-    points = eye + distance[:, np.newaxis] * rays
-    seen = np.isfinite(distance)
-    panel = np.full((len(rays), 2), -1e4)
-    shading = np.zeros(len(rays))
-    at = points[seen]
-    panel[seen] = projector.project(at)
-    lit = lit_from(painting.height, painting.pitch_mm, at, lamp, high, 1e-6)
-    normal, albedo = painting.surface_at(at[:, 0], at[:, 1])
-    to_lamp = lamp - at
-    reach = np.linalg.norm(to_lamp, axis=1)
-    light = to_lamp / reach[:, np.newaxis]
-    cosine = np.maximum(0.0, (normal * light).sum(axis=1))
-    half = light - rays[seen]
-    half /= np.linalg.norm(half, axis=1, keepdims=True)
-    facing = np.maximum(1e-6, (normal * half).sum(axis=1))
-    # Beckmann's distribution of microfacets with a roughness of 0.3.
-    beckmann = np.exp((1 - 1 / facing**2) / 0.09) / (0.09 * facing**4)
-    fall_off = (np.linalg.norm(lamp) / reach) ** 2
-    shading[seen] = lit * fall_off * cosine * (albedo + gloss * beckmann)
-    shape = (camera.height, camera.width)
-    return SceneTruth(points.reshape(*shape, 3), panel.reshape(*shape, 2), shading.reshape(shape))
+def _around(distance: float) -> dict[str, tuple[float, float, float]]:
+    """Places about as far away as ``distance``, mm."""
+    directions = {
+        "front": (-0.055, 0.027, 1.0),
+        "left": (-0.62, 0.05, 0.80),
+        "right": (0.62, -0.04, 0.80),
+        "above": (0.04, 0.58, 0.83),
+    }
+    return {n: (x * distance, y * distance, z * distance) for n, (x, y, z) in directions.items()}
+
+
+def _surface(kind: PaintingKind, seed: int) -> Surface:
+    if kind is PaintingKind.SMALL_OIL:
+        return paint_small_oil(seed=seed)
+    if kind is PaintingKind.OIL:
+        return paint_oil(seed=seed)
+    if kind is PaintingKind.TORTURE:
+        return make_torture_piece(seed=seed)
+    if kind is PaintingKind.BOARD:
+        return make_board()
+    if kind is PaintingKind.CHESSBOARD:
+        return make_board(BoardPattern(marker_mm=None))
+    flat = np.zeros((1001, 1201), np.float32)
+    return Surface.uniform(flat, pitch_mm=0.25, canvas_mm=(300.0, 250.0), albedo=0.9, back_mm=-4.0)
+
+
+def _wall_mm(kind: PaintingKind) -> float:
+    """A painting hangs on the wall; a board is held well before it, to be turned freely."""
+    paintings = (PaintingKind.SMALL_OIL, PaintingKind.OIL, PaintingKind.TORTURE)
+    return WALL_MM if kind in paintings else -300.0
+
+
+def _projector(settings: SimulationSettings, distance: float) -> SimulatedLens:
+    """By default a lens-shifted projector that lights the camera's field and a quarter more."""
+    x, y, z = (0.38 * distance, 0.055 * distance, 0.95 * distance)
+    width = settings.projector_width
+    reach = math.hypot(x, y, z)
+    return SimulatedLens.looking_at(
+        width=width,
+        height=settings.projector_height,
+        focal_px=settings.projector_focal_px or width * reach / (1.25 * distance * _FIELD),
+        position=settings.projector_mm or (x, y, z),
+        target=(0.0, 0.0, 0.0),
+        distortion=settings.projector_distortion,
+        centre_shift=(0.007 * width, 0.07 * settings.projector_height),
+        vignetting=settings.vignetting,
+    )
+
+
+def _arm(errors: ArmErrors, distance: float) -> ArmKinematics:
+    return ArmKinematics(
+        centre=errors.centre_mm,
+        radius=errors.radius_mm or 1.3 * distance,
+        ring_tilt=(math.radians(errors.ring_tilt_deg[0]), math.radians(errors.ring_tilt_deg[1])),
+        arc_lean=math.radians(errors.arc_lean_deg),
+        azimuth_zero=math.radians(errors.azimuth_zero_deg),
+        elevation_zero=math.radians(errors.elevation_zero_deg),
+        sag=math.radians(errors.sag_deg),
+    )

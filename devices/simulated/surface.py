@@ -1,7 +1,7 @@
 """A surface made by code: relief and reflectance on a grid finer than any scan of it.
 
 Lengths are in mm in the surface's own frame: X right, Y up, Z towards the viewer, the origin at the
-centre of the grid. Reflectance is that of :mod:`devices.simulated.reflectance`.
+centre of the grid. Reflectance is that of :mod:`devices.simulated.shading_kernels`.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.errors import DeviceError
+from devices.simulated.ray_kernels import sample_surface
 
 
 @dataclass(frozen=True)
@@ -20,23 +21,34 @@ class SurfacePoints:
 
     Attributes
     ----------
-    normals : (n, 3) float64 array
+    normals : (n, 3) float32 array
         Unit, outward.
-    albedo : (n, 3) float64 array
-        Diffuse reflectance for red, green and blue; of metal, its reflectance head-on.
-    roughness : (n,) float64 array
-        Width α of the microfacet distribution.
-    varnish : (n,) float64 array
-        Share covered by varnish.
-    metal : (n,) float64 array
-        Share covered by metal.
+    finish : (n, 6) float32 array
+        Albedo for red, green and blue, roughness, varnish and metal, as the properties say.
     """
 
-    normals: NDArray[np.float64]
-    albedo: NDArray[np.float64]
-    roughness: NDArray[np.float64]
-    varnish: NDArray[np.float64]
-    metal: NDArray[np.float64]
+    normals: NDArray[np.float32]
+    finish: NDArray[np.float32]
+
+    @property
+    def albedo(self) -> NDArray[np.float32]:
+        """Diffuse reflectance for red, green and blue, (n, 3); of metal, that head-on."""
+        return self.finish[..., :3]
+
+    @property
+    def roughness(self) -> NDArray[np.float32]:
+        """Width α of the microfacet distribution, (n,)."""
+        return self.finish[..., 3]
+
+    @property
+    def varnish(self) -> NDArray[np.float32]:
+        """Share covered by varnish, (n,)."""
+        return self.finish[..., 4]
+
+    @property
+    def metal(self) -> NDArray[np.float32]:
+        """Share covered by metal, (n,)."""
+        return self.finish[..., 5]
 
 
 @dataclass(frozen=True)
@@ -119,46 +131,31 @@ class Surface:
         DeviceError
             A point lies outside the grid.
         """
-        return self._interpolate(self.height, *self._place(x, y))
+        row, col = self._place(x, y)
+        r = np.minimum(row.astype(int), self.height.shape[0] - 2)
+        c = np.minimum(col.astype(int), self.height.shape[1] - 2)
+        v, u = row - r, col - c
+        corner = [self.height[r + i, c + j].astype(np.float64) for i in (0, 1) for j in (0, 1)]
+        top = (1 - u) * corner[0] + u * corner[1]
+        bottom = (1 - u) * corner[2] + u * corner[3]
+        return np.asarray((1 - v) * top + v * bottom)
 
-    def points_at(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> SurfacePoints:
-        """Shape and reflectance at coordinates (n,) in mm.
+    def points_at(self, points: NDArray[np.float64]) -> SurfacePoints:
+        """Shape and reflectance below or above points (n, 3) of the surface's frame.
 
         Slopes are central differences over two cells, interpolated; maps are decoded, then
-        interpolated.
-
-        Raises
-        ------
-        DeviceError
-            A point lies outside the grid.
+        interpolated. Points beyond the edge take its values.
         """
-        row, col = self._place(x, y)
-        pad = np.pad(self.height, 1, mode="edge").astype(np.float64)
-        # At the border of the grid the difference is one-sided.
-        rows, cols = self.height.shape
-        step = np.full(cols, 2.0)
-        step[[0, -1]] = 1.0
-        slope_x = (pad[1:-1, 2:] - pad[1:-1, :-2]) / (step * self.pitch_mm)
-        step = np.full((rows, 1), 2.0)
-        step[[0, -1]] = 1.0
-        slope_y = (pad[:-2, 1:-1] - pad[2:, 1:-1]) / (step * self.pitch_mm)
-        normal = np.stack(
-            [
-                -self._interpolate(slope_x, row, col),
-                -self._interpolate(slope_y, row, col),
-                np.ones(len(col)),
-            ],
-            axis=1,
+        normals, finish = sample_surface(
+            self.height,
+            self.albedo,
+            self.roughness,
+            self.varnish,
+            self.metal,
+            self.pitch_mm,
+            points,
         )
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        share = 1 / 255
-        return SurfacePoints(
-            normal,
-            self._interpolate((self.albedo * share) ** 2, row, col),
-            share * self._interpolate(self.roughness, row, col),
-            share * self._interpolate(self.varnish, row, col),
-            share * self._interpolate(self.metal, row, col),
-        )
+        return SurfacePoints(normals, finish)
 
     def _place(
         self, x: NDArray[np.float64], y: NDArray[np.float64]
@@ -170,19 +167,6 @@ class Surface:
         if not ((col >= 0) & (col <= cols - 1) & (row >= 0) & (row <= rows - 1)).all():
             raise DeviceError("the simulated surface was asked for points beyond its edge")
         return row, col
-
-    @staticmethod
-    def _interpolate(
-        of: NDArray[np.generic], row: NDArray[np.float64], col: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        r = np.minimum(row.astype(int), of.shape[0] - 2)
-        c = np.minimum(col.astype(int), of.shape[1] - 2)
-        more = (1,) * (of.ndim - 2)
-        v, u = (row - r).reshape(*row.shape, *more), (col - c).reshape(*col.shape, *more)
-        corner = [of[r + i, c + j].astype(np.float64) for i in (0, 1) for j in (0, 1)]
-        top = (1 - u) * corner[0] + u * corner[1]
-        bottom = (1 - u) * corner[2] + u * corner[3]
-        return np.asarray((1 - v) * top + v * bottom)
 
 
 def code_albedo(albedo: float) -> int:

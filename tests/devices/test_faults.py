@@ -36,9 +36,11 @@ from devices.simulated.faults import (
     SwappedFrames,
     TruncatedFrame,
 )
-from devices.simulated.optics import SimulatedLens
-from devices.simulated.painting import paint_small_oil
-from devices.simulated.rig import Sensor, SimulatedRig, demo_rig
+from devices.simulated.oil_painting import paint_small_oil
+from devices.simulated.optics import PanelResponse, SimulatedLens
+from devices.simulated.rig import SimulatedRig, demo_rig
+from devices.simulated.sensor import Sensor
+from devices.simulated.truth import truth_of
 
 EXPOSURE_S = 0.03
 # Captures of the proof of the first light; what they show is not recorded.
@@ -62,7 +64,7 @@ def narrow_scene():
         distortion=(0.0, 0.0, 0.0, 0.0, 0.0),
     )
     wide = demo_rig(seed=8, camera_width=40)
-    return SimulatedRig(paint_small_oil(seed=8), camera, wide.projector_lens, seed=8)
+    return SimulatedRig.before(paint_small_oil(seed=8), camera, wide.projector_lens, seed=8)
 
 
 def planned(rig, exposures=(EXPOSURE_S,), **options):
@@ -96,13 +98,15 @@ def record(scene, *, camera=None, projector=None, shots=None, rig=None):
 
 def foreign_frames(scene, taken):
     """Names of frames that are not the picture of their projection, by the scene's truth."""
-    sensor, wrong = scene.sensor, []
+    sensor, wrong = scene.scene.sensor, []
     for projection, exposure_s, frame in taken:
-        scene.show(projection.image)
+        scene.scene.show(projection.image)
         electrons = scene.electrons(exposure_s)
-        gain = sensor.ceiling / sensor.full_well_e
+        gain = sensor.numbers_per_electron
         expected = np.clip(electrons * gain + sensor.black_level, 0, sensor.ceiling)
-        sigma = gain * np.sqrt(np.minimum(electrons, sensor.full_well_e) + sensor.read_noise_e**2)
+        caught = np.minimum(electrons, sensor.full_well_e)
+        pattern = (sensor.prnu * caught) ** 2 + sensor.dsnu_e**2
+        sigma = gain * np.sqrt(caught + sensor.read_noise_e**2 + pattern)
         error = (frame.image - expected) / np.hypot(sigma, 0.3)
         if np.mean(error**2) > 1.5:
             wrong.append(projection.name)
@@ -165,7 +169,9 @@ class Waiting:
     """A simulated camera whose exposures take the time that they say."""
 
     def __init__(self, scene):
-        self._camera = SimulatedRig(scene.painting, scene.camera_lens, scene.projector_lens).camera
+        self._camera = SimulatedRig.before(
+            scene.painting, scene.camera_lens, scene.projector_lens
+        ).camera
 
     def __getattr__(self, name):
         return getattr(self._camera, name)
@@ -304,13 +310,13 @@ def test_clean_scans_of_other_paintings_and_sensors_raise_no_alarm(scene, seed, 
     sensor = Sensor(
         bits=bits, read_noise_e=(3.0, 40.0)[seed % 2], black_level=(0.0, 20.0)[seed // 2]
     )
-    other = SimulatedRig(
+    other = SimulatedRig.before(
         paint_small_oil(seed=seed, pitch_mm=0.5),
         scene.camera_lens,
         scene.projector_lens,
         sensor=sensor,
         seed=seed,
-        gamma=1.0 + 0.4 * seed,
+        panel=PanelResponse(gamma=1.0 + 0.4 * seed),
     )
     rig = Rig(other.camera, other.projector)
     taken = record(other, rig=rig, shots=list(planned(rig, (0.004, 0.06))))
@@ -320,7 +326,7 @@ def test_clean_scans_of_other_paintings_and_sensors_raise_no_alarm(scene, seed, 
 def test_gray_bits_that_look_alike_are_proven_and_not_refused(narrow_scene):
     rig = Rig(narrow_scene.camera, narrow_scene.projector)
     shots = list(planned(rig))
-    panel = narrow_scene.truth.panel
+    panel = truth_of(narrow_scene.scene).panel
     low, high = panel.reshape(-1, 2).min(axis=0), panel.reshape(-1, 2).max(axis=0)
     assert ((high - low) < 250).all()
     before = narrow_scene.camera.capture(EXPOSURE_S).sequence
