@@ -116,7 +116,6 @@ def test_a_scan_that_would_record_other_than_planned_is_refused(rig, tmp_path, c
         scan(writer, changed)
 
 
-@pytest.mark.parametrize("exposure_s", [0.03, 0.0003])
 def test_a_proof_leaves_the_frame_that_was_taken_first(rig):
     """So that the same frame is recorded by a scan and by one that is resumed with it."""
     taken = []
