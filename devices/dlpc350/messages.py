@@ -146,7 +146,14 @@ class ValidationStatus(IntFlag):
 
 def bit_names(flags: IntFlag) -> str:
     """Names of the bits that are set, for messages; "nothing" if none is."""
-    return ", ".join(str(flag.name).lower().replace("_", " ") for flag in flags) or "nothing"
+    known = type(flags)(0)
+    for flag in flags:
+        known |= flag
+    names = [str(flag.name).lower().replace("_", " ") for flag in flags]
+    unknown = int(flags) & ~int(known)
+    if unknown:
+        names.append(f"unknown bits 0x{unknown:02X}")
+    return ", ".join(names) or "nothing"
 
 
 @dataclass(frozen=True)
@@ -206,18 +213,7 @@ def pack_message(
 
 
 def parse_reply(report: bytes) -> Reply:
-    """Take the first report of an answer apart.
-
-    Raises
-    ------
-    DeviceError
-        It is shorter than a report.
-    """
-    if len(report) != REPORT_BYTES:
-        raise DeviceError(
-            f"the DLPC350 sent a report of {len(report)} bytes where {REPORT_BYTES} belong; look "
-            "at the USB cable"
-        )
+    """Take the first report of an answer, of 64 bytes, apart."""
     flags, sequence, length = _HEADER.unpack_from(report)
     data = report[_HEADER.size : _HEADER.size + length]
     return Reply(bool(flags & _NACK), sequence, length, data)

@@ -159,19 +159,28 @@ class UsbLink:
 
     def _drain(self) -> None:
         """Drop replies that an earlier program left unread."""
+        wait = Deadline.after(self._reply_timeout_s)
         try:
-            while True:
+            while not wait.passed:
                 self._board.read(_IN, REPORT_BYTES, timeout=_milliseconds(_DRAIN_S))
         except usb.core.USBTimeoutError:
             return
         except usb.core.USBError as error:
             raise self._named(error, "be read") from error
+        raise DeviceError(
+            f"the DLPC350 at {address_of(self._board)} sends reports without being asked; unplug "
+            "it and plug it in again"
+        )
 
     def _repeat(self, command: Command, data: bytes, *, read: bool, deadline: Deadline) -> bytes:
+        """Ask again after a lost reply; put light out again after anything but a loss."""
+        again = DeviceTimeoutError if read else DeviceError
         for _ in range(_ATTEMPTS - 1):
             try:
                 return self._exchange(command, data, read=read, deadline=deadline)
-            except DeviceTimeoutError:
+            except DeviceLostError:
+                raise
+            except again:
                 deadline.require(f"the DLPC350 did not answer {command}")
         return self._exchange(command, data, read=read, deadline=deadline)
 
@@ -200,6 +209,7 @@ class UsbLink:
             reply = parse_reply(self._receive_report(command, wait))
             if reply.sequence == self._sequence:
                 break
+            wait.require(f"the DLPC350 answers old questions only and did not answer {command}")
         if reply.refused:
             sent = f" with {data.hex(' ')}" if data else ""
             raise DeviceError(
@@ -217,8 +227,11 @@ class UsbLink:
             report = bytes(self._board.read(_IN, REPORT_BYTES, timeout=timeout))
         except usb.core.USBError as error:
             raise self._named(error, f"answer {command}") from error
-        if not report:
-            raise DeviceError(f"the DLPC350 sent an empty report in answer to {command}")
+        if len(report) != REPORT_BYTES:
+            raise DeviceError(
+                f"the DLPC350 answered {command} in a report of {len(report)} bytes where "
+                f"{REPORT_BYTES} belong; look at the USB cable"
+            )
         return report
 
     def _named(self, error: usb.core.USBError, doing: str) -> DeviceError:

@@ -134,8 +134,8 @@ def read_screens(pyglet: Any) -> list[tuple[Screen, Any]]:
     _refuse_wayland(display)
     found = []
     for screen in display.get_screens():
-        mode = screen.get_mode()
-        if not screen.width or mode is None:
+        size = mode_size(screen)
+        if not screen.width or size is None:
             continue
         found.append(
             (
@@ -145,9 +145,9 @@ def read_screens(pyglet: Any) -> list[tuple[Screen, Any]]:
                     y=screen.y,
                     width=screen.width,
                     height=screen.height,
-                    mode_width=mode.width,
-                    mode_height=mode.height,
-                    refresh_hz=float(mode.rate or 0),
+                    mode_width=size[0],
+                    mode_height=size[1],
+                    refresh_hz=float(screen.get_mode().rate or 0),
                     dpi_scale=screen.get_scale(),
                     primary=bool(getattr(screen, "is_primary", False)),
                 ),
@@ -155,6 +155,16 @@ def read_screens(pyglet: Any) -> list[tuple[Screen, Any]]:
             )
         )
     return found
+
+
+def mode_size(pyglet_screen: Any) -> tuple[int, int] | None:
+    """Pixels that go over a screen's cable now; None if it is off. For the window's process."""
+    try:
+        mode = pyglet_screen.get_mode()
+    except ValueError:
+        # An output without a controller has no description.
+        return None
+    return None if mode is None else (mode.width, mode.height)
 
 
 def load_pyglet() -> Any:

@@ -20,7 +20,7 @@ import time
 from typing import Any
 
 from devices.errors import DeviceError, DeviceLostError, ImpastoError
-from devices.hdmi.screens import Screen, as_fields, load_pyglet, read_screens
+from devices.hdmi.screens import Screen, as_fields, load_pyglet, mode_size, read_screens
 
 _COMMANDS_FD = 0
 # A driver may queue two frames before a flip waits; when the third has returned the first is out.
@@ -74,6 +74,7 @@ class _Window:
         self._gl = gl = pyglet.gl
         self._xlib = pyglet.libs.x11.xlib
         self._screen = screen
+        self._pyglet_screen = pyglet_screen
         self.gone = False
         self._exposed = False
         self._blank = True
@@ -149,6 +150,11 @@ class _Window:
         if self.gone:
             raise DeviceLostError("the projector's window was closed or hidden")
         screen = self._screen
+        if mode_size(self._pyglet_screen) != (screen.mode_width, screen.mode_height):
+            raise DeviceError(
+                f"screen {screen.name} was switched off, unplugged, or set to another mode; look "
+                "at its cable and open the projector again"
+            )
         size, place = self._window.get_framebuffer_size(), self._window.get_location()
         if size != (screen.width, screen.height) or place != (screen.x, screen.y):
             raise DeviceError(

@@ -4,10 +4,15 @@ import errno
 import subprocess
 import sys
 import time
+from array import array
+from contextlib import closing
 
 import numpy as np
 import pytest
 import usb.core
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
 
 from devices.deadline import Deadline
 from devices.dlpc350.messages import Command, FlashPattern, Leds, ValidationStatus
@@ -143,6 +148,25 @@ def test_blank_stops_the_sequence_and_puts_the_leds_out(projector, backend):
     assert backend.board.run == 0
     assert backend.board.led_enable == Leds.NONE
     projector.blank()
+
+
+@pytest.mark.parametrize("fault", [Fault.NACK, Fault.LOST_REPLY, Fault.TRUNCATED_REPORT])
+@pytest.mark.parametrize("command", [Command.LED_ENABLE, Command.PATTERN_RUN])
+def test_putting_the_light_out_is_tried_again(projector, backend, fault, command):
+    projector.show(picture("fringe"))
+    backend.inject(fault, on=command, times=2)
+    projector.blank()
+    assert backend.board.run == 0
+    assert backend.board.led_enable == Leds.NONE
+
+
+def test_light_that_cannot_be_put_out_is_said(projector, backend):
+    projector.show(picture("fringe"))
+    backend.inject(Fault.NACK, on=Command.LED_ENABLE, times=3)
+    with pytest.raises(DeviceError, match=r"refuses led enable \(0x1A07\)"):
+        projector.blank()
+    # What else makes it dark was done all the same.
+    assert not backend.board.lit
 
 
 def test_opening_finds_a_lit_board_and_leaves_it_dark(backend):
@@ -310,6 +334,62 @@ def test_a_long_answer_spans_reports(backend):
     link.write(Command.MAILBOX_ADDRESS, b"\x00", deadline=soon())
     link.write(Command.MAILBOX_DATA, entries, deadline=soon())
     assert link.read(Command.MAILBOX_DATA, deadline=soon()) == entries
+
+
+@pytest.mark.parametrize("entries", [18, 96])
+def test_a_short_report_anywhere_in_an_answer_is_refused(backend, entries):
+    backend.board.display_mode = 1
+    backend.board.patterns = {address: b"abc" for address in range(entries)}
+    backend.board.mailbox = 2
+    link = open_link(backend)
+    backend.inject(Fault.TRUNCATED_REPORT, on=Command.MAILBOX_DATA)
+    with pytest.raises(DeviceError, match="report of 10 bytes where 64 belong"):
+        link.read(Command.MAILBOX_DATA, deadline=soon())
+
+
+def test_a_board_that_chatters_does_not_hold_anybody_up(backend, monkeypatch):
+    link = open_link(backend)
+
+    def chatter(dev_handle, ep, intf, buff, timeout):
+        buff[:5] = array("B", [0xC0, 200, 1, 0, 1])
+        return 64
+
+    monkeypatch.setattr(backend, "intr_read", chatter)
+    with pytest.raises(DeviceTimeoutError, match="answers old questions only"):
+        link.write(Command.LED_ENABLE, b"\0", deadline=soon())
+    with pytest.raises(DeviceError, match="without being asked"):
+        open_link(backend)
+
+
+@given(st.data())
+@hypothesis_settings(max_examples=60, deadline=None)
+def test_any_bytes_from_a_board_end_in_a_picture_or_an_error_with_a_name(data):
+    backend = SimulatedUsbBackend()
+    read, garbled = backend.intr_read, data.draw(st.integers(0, 60), label="from")
+    reports = 0
+
+    def garble(dev_handle, ep, intf, buff, timeout):
+        nonlocal reports
+        length = read(dev_handle, ep, intf, buff, timeout)
+        reports += 1
+        if reports == garbled:
+            content = data.draw(st.binary(min_size=0, max_size=64), label="report")
+            # Most of all, what looks like an answer to the question.
+            if data.draw(st.booleans(), label="keeps its header") and len(content) > 4:
+                content = bytes(buff[:2]) + content[2:]
+            buff[: len(content)] = array("B", content)
+            length = len(content)
+        return length
+
+    backend.intr_read = garble
+    settings = flash_settings(timeout_s=0.3, reply_timeout_s=0.05)
+    try:
+        with closing(settings.open(backend=backend)) as projector:
+            projector.show(picture("fringe"))
+            assert backend.board.lit
+    except DeviceError:
+        pass
+    assert not backend.board.lit
 
 
 def test_sequence_numbers_run_over(backend):

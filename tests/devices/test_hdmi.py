@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -52,11 +52,10 @@ class Display:
         return np.count_nonzero(self.picture()) < 500
 
 
-@pytest.fixture(scope="module")
-def display(tmp_path_factory) -> Iterator[Display]:
+@contextmanager
+def virtual_display(folder: Path) -> Iterator[Display]:
     if shutil.which("Xvfb") is None:
         pytest.skip("Xvfb is not installed (apt install xvfb)")
-    folder = tmp_path_factory.mktemp("screen")
     read, write = os.pipe()
     size = f"{WIDTH}x{HEIGHT}x24"
     options = f"-displayfd {write} -screen 0 {size} -noreset -nolisten tcp -fbdir {folder}"
@@ -76,6 +75,12 @@ def display(tmp_path_factory) -> Iterator[Display]:
         os.close(read)
         server.kill()
         server.wait()
+
+
+@pytest.fixture(scope="module")
+def display(tmp_path_factory) -> Iterator[Display]:
+    with virtual_display(tmp_path_factory.mktemp("screen")) as display:
+        yield display
 
 
 def settings(display: Display | None, **changes) -> HdmiSettings:
@@ -322,6 +327,46 @@ def test_every_way_of_scaling_is_refused_with_its_remedy(changes, remedy):
 
 
 # Lives and deaths.
+
+
+def switch_off(display: Display) -> None:
+    """Switch the display's output off, as a desktop does when the cable is pulled."""
+    x11, xrandr = ctypes.CDLL("libX11.so.6"), ctypes.CDLL("libXrandr.so.2")
+    x11.XOpenDisplay.restype = ctypes.c_void_p
+    x11.XDefaultRootWindow.restype = ctypes.c_ulong
+
+    class Resources(ctypes.Structure):
+        _fields_ = (
+            ("timestamp", ctypes.c_ulong),
+            ("config", ctypes.c_ulong),
+            ("ncrtc", ctypes.c_int),
+            ("crtcs", ctypes.POINTER(ctypes.c_ulong)),
+        )
+
+    xrandr.XRRGetScreenResourcesCurrent.restype = ctypes.POINTER(Resources)
+    connection = ctypes.c_void_p(x11.XOpenDisplay(display.name.encode()))
+    root = ctypes.c_ulong(x11.XDefaultRootWindow(connection))
+    resources = xrandr.XRRGetScreenResourcesCurrent(connection, root)
+    controller = ctypes.c_ulong(resources.contents.crtcs[0])
+    none = ctypes.c_ulong(0)
+    status = xrandr.XRRSetCrtcConfig(
+        connection, resources, controller, none, 0, 0, none, ctypes.c_ushort(1), None, 0
+    )
+    assert status == 0
+    x11.XCloseDisplay(connection)
+
+
+def test_a_screen_that_goes_off_is_noticed_by_the_next_picture(tmp_path):
+    with (
+        virtual_display(tmp_path) as display,
+        closing(HdmiProjector(settings(display))) as projector,
+    ):
+        projector.show(random_picture(0))
+        switch_off(display)
+        with pytest.raises(DeviceError, match="screen screen was switched off, unplugged"):
+            projector.show(random_picture(1))
+        assert display.is_black()
+        assert find(display=display.name) == []
 
 
 PARENT = """

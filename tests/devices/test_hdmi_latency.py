@@ -12,7 +12,7 @@ from devices.errors import DeviceError
 from devices.hdmi.latency import Latency, measure_latency
 from devices.interfaces import CameraCapabilities, Frame, ProjectorCapabilities
 
-EXPOSURE_S = 0.05
+EXPOSURE_S = 0.08
 
 
 class LateProjector:
