@@ -231,7 +231,7 @@ class Dlpc350Projector:
             if len(signal) >= 5 and signal[0] & 3 == _SIGNAL_LOCKED:
                 break
             wait_to_ask_again(
-                deadline, "the DLPC350 did not lock to its video input; look at the HDMI cable"
+                deadline, "the DLPC350 (look at its HDMI cable) did not lock to its video input"
             )
         received = (
             int.from_bytes(signal[1:3], "little"),
