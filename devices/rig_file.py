@@ -8,7 +8,6 @@ holds that driver's settings; ``[simulation]`` holds those of the scene that all
 from __future__ import annotations
 
 import contextlib
-import importlib
 import json
 import tomllib
 from collections.abc import Callable, Iterator
@@ -209,8 +208,9 @@ class _Reading:
 
     def simulation(self, table: Any) -> DriverSettings | None:
         """Settings of the simulated scene."""
-        module = importlib.import_module("devices.simulated.settings")
-        return self._validate(module.SimulationSettings, table, SIMULATION)
+        from devices.simulated.settings import SimulationSettings
+
+        return self._validate(SimulationSettings, table, SIMULATION)
 
     def finish(self) -> None:
         """Refuse the file if anything is wrong with it."""
@@ -222,7 +222,9 @@ class _Reading:
     ) -> DriverSettings | None:
         try:
             # Through JSON, whose strict types are those of TOML.
-            return model.model_validate_json(json.dumps(table, default=str), strict=True)
+            # TOML's dates, which no setting is, become something that no setting takes.
+            text = json.dumps(table, default=lambda date: {"date": str(date)})
+            return model.model_validate_json(text, strict=True)
         except ValidationError as error:
             for problem in error.errors():
                 location = _without_branches(problem["loc"], table)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import typer
 
-from workstation.commands import bench, demo, import_capture, process, render, replay
+from workstation.commands import bench, demo, devices, import_capture, process, render, replay
 
 
 def register(app: typer.Typer) -> None:
     """Add every command to the application."""
-    for command in (demo, import_capture, replay, process, render, bench):
+    for command in (demo, devices, import_capture, replay, process, render, bench):
         command.register(app)
