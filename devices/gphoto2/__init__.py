@@ -1,0 +1,1 @@
+"""Tethered DSLR and mirrorless cameras through libgphoto2, their raw files through LibRaw."""
