@@ -58,13 +58,18 @@ class Axis:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Least and largest angle within reach and clear of the end switch, radians."""
+        """Least and largest angle clear of both ends by the pull-off, radians.
+
+        They are equal if the travel is shorter than that.
+        """
         pull_off = abs(self.home - self.switch)
         low, high = self.travel
         if abs(low - self.switch) < abs(high - self.switch):
             ends = max(low, self.home), high - pull_off
         else:
             ends = low + pull_off, min(high, self.home)
+        if ends[0] > ends[1]:
+            ends = ends[0], ends[0]
         first, last = sorted(self.angle(end) for end in ends)
         return first, last
 

@@ -31,8 +31,8 @@ from devices.grbl.messages import (
 )
 from devices.grbl.serial_line import SerialLine
 
-LIGHTS_OUT = "M5M9"
-"""Line that switches every output off."""
+LIGHTS_OUT = "M5M9S0"
+"""Words that switch every output off, and leave the spindle output no speed to come back with."""
 
 # Attempts at a reading within one reply time-out.
 _TRIES = 4
@@ -40,6 +40,7 @@ _TRIES = 4
 _REPORTS_PER_OUTPUTS = 25
 _TOOLS = 255
 _RESETS = 2
+_NUDGE_S = 0.5
 
 
 class Conversation:
@@ -64,6 +65,8 @@ class Conversation:
         self.line = line
         self._reply_timeout_s = reply_timeout_s
         self._clock = clock
+        self.limit: Deadline | None = None
+        """No wait goes on after this."""
         self._tool = int(time.time_ns() // 1_000_000) % _TOOLS
 
     def receive(self, deadline: Deadline, *, doing: str) -> Message | None:
@@ -123,8 +126,14 @@ class Conversation:
             f"while {doing}; look at its power and cable"
         )
 
-    def outputs(self, *, doing: str) -> tuple[StatusReport, str | None]:
+    def outputs(self, timeout_s: float, *, doing: str) -> tuple[StatusReport, str | None]:
         """A status report that tells which outputs are on.
+
+        Parameters
+        ----------
+        timeout_s : float
+            How long it may take until one comes; most reports do not tell.
+        doing : str
 
         Returns
         -------
@@ -132,11 +141,21 @@ class Conversation:
             The last one.
         str or None
             Letters of the outputs that are on; None if the firmware's reports never tell.
+
+        Raises
+        ------
+        DeviceTimeoutError
+            Too few reports came.
         """
+        end = self._after(timeout_s)
         for _ in range(_REPORTS_PER_OUTPUTS):
             report = self.status(doing=doing)
             if report.accessories is not None:
                 return report, report.accessories
+            if self._clock() >= end.at_s:
+                raise DeviceTimeoutError(
+                    f"the light arm's controller did not tell whether the lamp is lit while {doing}"
+                )
         return report, None
 
     def acknowledge(self, line: str, deadline: Deadline, *, doing: str) -> None:
@@ -148,9 +167,13 @@ class Conversation:
             It did not come.
         """
         self.line.send_line(line)
-        while (message := self.receive(deadline, doing=doing)) is not None:
-            if isinstance(message, Acknowledged):
-                return
+        while self._clock() < deadline.at_s:
+            soon = min(deadline, self._after(_NUDGE_S))
+            while (message := self.receive(soon, doing=doing)) is not None:
+                if isinstance(message, Acknowledged):
+                    return
+            # Some boards look at a line only when the next byte comes; this one does nothing else.
+            self.line.send_realtime(RealtimeCommand.STATUS)
         raise DeviceTimeoutError(
             f"the light arm's controller did not finish {line} in time while {doing}"
         )
@@ -176,13 +199,15 @@ class Conversation:
         DeviceTimeoutError
             The echo did not come, several times over.
         """
+        made_up = set()
         for _ in range(_TRIES):
             self._tool = self._tool % _TOOLS + 1
+            made_up.add(self._tool)
             self.line.send_line(f"G80T{self._tool}")
             self.line.send_line("$G")
             deadline = self._after(self._reply_timeout_s / _TRIES)
             while (message := self.receive(deadline, doing=doing)) is not None:
-                if isinstance(message, ModalState) and message.tool == self._tool:
+                if isinstance(message, ModalState) and message.tool in made_up:
                     return message
         raise DeviceTimeoutError(
             f"the light arm's controller did not answer in {self._reply_timeout_s:g} s while "
@@ -263,13 +288,20 @@ class Conversation:
                     return True
         return False
 
-    def lights_out(self, timeout_s: float) -> bool | None:
+    def lights_out(self, timeout_s: float, *, after_reset: bool) -> bool | None:
         """Switch every output off, in any state of the controller.
+
+        Parameters
+        ----------
+        timeout_s : float
+            How long it may take until the controller tells.
+        after_reset : bool
+            Whether a reset was asked for, whose greeting may still come.
 
         Returns
         -------
         bool or None
-            Whether they are off, as a controller that stands idle or locked reports it; None if it
+            Whether they are off, as a controller under which nothing moves reports it; None if it
             does not say.
         """
         self.line.send_line(LIGHTS_OUT)
@@ -279,13 +311,13 @@ class Conversation:
             self.line.send_realtime(RealtimeCommand.STATUS)
             deadline = self._after(0.05)
             while (message := self.line.receive(deadline)) is not None:
-                if isinstance(message, Banner):
+                if isinstance(message, (Alarm, Banner)) and not after_reset:
                     return None
                 if isinstance(message, StatusReport):
                     if message.accessories is None:
                         break
                     said = message.accessories == ""
-                    if said and message.state in (MachineState.IDLE, MachineState.ALARM):
+                    if said and _stands_still(message):
                         return True
         return False if said is False else None
 
@@ -301,7 +333,8 @@ class Conversation:
         return values
 
     def _after(self, seconds: float) -> Deadline:
-        return Deadline(self._clock() + seconds)
+        deadline = Deadline(self._clock() + seconds)
+        return deadline if self.limit is None else min(deadline, self.limit)
 
 
 def _stands_still(report: StatusReport) -> bool:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from devices.grbl.axes import Axis
 from devices.grbl.codes import Setting
 from devices.grbl.errors import ControllerSettingsError
-from devices.grbl.settings import GrblSettings, LampOutput
+from devices.grbl.settings import SPINDLE_OUTPUTS, GrblSettings
 from devices.interfaces import ArmLimits
 
 _MACHINE_POSITION = 1
@@ -56,7 +56,7 @@ def check_fitness(values: Mapping[int, float], settings: GrblSettings) -> None:
             "the motors let go when the arm stands, which could then sag: set $1=255 (or "
             "motors_hold = false in rig.toml, if the arm is balanced)"
         )
-    if settings.lamp in (LampOutput.SPINDLE, LampOutput.SPINDLE_REVERSE):
+    if settings.lamp in SPINDLE_OUTPUTS:
         if values[Setting.LASER_MODE]:
             faults.append("laser mode couples the lamp to motion: set $32=0")
         if not values[Setting.SPINDLE_MAX] > 0:

@@ -12,7 +12,7 @@ from devices.errors import DeviceError
 from devices.grbl.conversation import LIGHTS_OUT, Conversation
 from devices.grbl.errors import AlarmError, DoorOpenError, LampError
 from devices.grbl.messages import MachineState, ModalState, StatusReport
-from devices.grbl.settings import LampOutput
+from devices.grbl.settings import SPINDLE_OUTPUTS, LampOutput
 
 _WORD = {
     LampOutput.SPINDLE: "M3",
@@ -38,10 +38,13 @@ class Lamp:
     output : LampOutput
     spindle_speed : float
         What the spindle output is set to.
+    timeout_s : float
+        How long it may take until the controller tells whether it is lit.
     """
 
     output: LampOutput
     spindle_speed: float
+    timeout_s: float
 
     def light(self, talk: Conversation, *, doing: str) -> None:
         """Light it, if the arm stands idle, and see that it is lit.
@@ -55,11 +58,11 @@ class Lamp:
         talk.synchronise(doing=doing)
         require_idle(talk.status(doing=doing), doing=doing)
         word = _WORD[self.output]
-        spins = self.output in (LampOutput.SPINDLE, LampOutput.SPINDLE_REVERSE)
+        spins = self.output in SPINDLE_OUTPUTS
         modes = talk.execute(f"{word}S{self.spindle_speed:.0f}" if spins else word, doing=doing)
         if word not in modes.words:
             raise LampError(f"the lamp was told {word}, and the controller did not take it")
-        report, lit = talk.outputs(doing=doing)
+        report, lit = talk.outputs(self.timeout_s, doing=doing)
         require_idle(report, doing=doing)
         if lit is not None and not set(lit) & set(_LETTERS[self.output]):
             raise LampError(
@@ -67,26 +70,25 @@ class Lamp:
                 "look at lamp in rig.toml, at $30 and $31, and at the wiring"
             )
 
+    def extinguish(self, talk: Conversation, *, doing: str) -> StatusReport:
+        """Switch every output off, and see that it is.
 
-def extinguish(talk: Conversation, *, doing: str) -> StatusReport:
-    """Switch every output off, and see that it is.
+        Returns
+        -------
+        StatusReport
+            The last one.
 
-    Returns
-    -------
-    StatusReport
-        The last one.
-
-    Raises
-    ------
-    DeviceError
-        The arm does not stand idle; a :class:`~devices.grbl.errors.LampError` if an output stays
-        on.
-    """
-    require_dark_modes(talk.execute(LIGHTS_OUT, doing=doing))
-    report, lit = talk.outputs(doing=doing)
-    require_idle(report, doing=doing)
-    require_dark(lit)
-    return report
+        Raises
+        ------
+        DeviceError
+            The arm does not stand idle; a :class:`~devices.grbl.errors.LampError` if an output
+            stays on.
+        """
+        require_dark_modes(talk.execute(LIGHTS_OUT, doing=doing))
+        report, lit = talk.outputs(self.timeout_s, doing=doing)
+        require_idle(report, doing=doing)
+        require_dark(lit)
+        return report
 
 
 def require_idle(report: StatusReport, *, doing: str) -> None:

@@ -23,14 +23,13 @@ from devices.grbl.fitness import check_fitness
 from devices.grbl.greeting import accept_banner, greet
 from devices.grbl.lamp import (
     Lamp,
-    extinguish,
     require_closed_door,
     require_dark,
     require_dark_modes,
     require_idle,
 )
 from devices.grbl.mechanics import read_mechanics
-from devices.grbl.messages import Alarm, Banner, MachineState, StatusReport
+from devices.grbl.messages import Alarm, Banner, MachineState, Message, Notice, StatusReport
 from devices.grbl.serial_line import SerialLine, SerialPort, open_serial_port
 from devices.grbl.settings import GrblSettings
 from devices.interfaces import ArmCapabilities, ArmPose
@@ -38,6 +37,7 @@ from devices.interfaces import ArmCapabilities, ArmPose
 _POLL_S = 0.05
 # Reports that must say alike that the arm has arrived.
 _CONFIRMATIONS = 2
+_DOOR = "MSG:Check Door"
 _NOT_HOMED = "it was not homed since the controller was connected"
 
 
@@ -71,8 +71,9 @@ class GrblLightArm:
         self._pose: ArmPose | None = None
         self._untrusted_because = _NOT_HOMED
         self._lamp_on = False
-        self._may_move = False
+        self._slow_down_s = 0.0  # what a hold needs to take effect: nothing while nothing moves
         self._settled = False
+        self._stays_lit = False
         self._lost = False
         self._closed = False
         self._talk = self._new_conversation()
@@ -101,7 +102,7 @@ class GrblLightArm:
 
     @property
     def longest_stop_s(self) -> float:
-        """How long, at most, stopping takes once something has gone wrong."""
+        """How long, at most, an operation goes on after its deadline: the arm is being stopped."""
         # Two tries of a reset, one look at the outputs; again if the port had to be reopened.
         return 2 * (self._mechanics.slow_down_s + 3 * self._settings.reply_timeout_s)
 
@@ -121,15 +122,15 @@ class GrblLightArm:
             An end switch is not found, the door is open, not done in time, the controller is gone.
         """
         self._require_open()
-        with self._operation("homing"):
+        with self._operation("homing", deadline):
             self._distrust("homing was not finished")
             if self._lost:
-                self._reconnect()
+                self._reconnect(deadline)
             self._talk.reset(doing="homing")
-            report, lit = self._talk.outputs(doing="homing")
+            report, lit = self._talk.outputs(self._settings.lamp_timeout_s, doing="homing")
             require_closed_door(report, doing="homing")
             require_dark(lit)
-            self._may_move = True
+            self._lamp_on = False
             by = self._by(self._mechanics.homing_s, deadline)
             self._talk.acknowledge("$H", by, doing="homing")
             require_dark_modes(self._talk.synchronise(doing="homing"))
@@ -141,7 +142,6 @@ class GrblLightArm:
                     f"homing ended at {pose}, not at the pull-off from the end switches; look at "
                     "$23, $27 and the firmware's homing cycles"
                 )
-            self._may_move = False
             self._pose = pose
 
     def move_to(self, pose: ArmPose, *, deadline: Deadline | None = None) -> None:
@@ -167,16 +167,16 @@ class GrblLightArm:
                 f"the light arm does not know where it stands ({self._untrusted_because}); home it"
             )
         doing = f"moving to {pose}"
-        with self._operation(doing):
-            report = extinguish(self._talk, doing=doing)
+        with self._operation(doing, deadline):
+            report = self._lamp.extinguish(self._talk, doing=doing)
             self._lamp_on = False
             targets = self._mechanics.coordinates_of(pose)
             arrival = self._by(self._mechanics.travel_time(report, targets), deadline)
             self._distrust("its last move was not finished")
-            self._may_move = True
+            self._slow_down_s = self._mechanics.slow_down_s
             self._talk.line.send_line(self._mechanics.move_line(targets))
             report = self._await_arrival(targets, arrival, doing=doing)
-            self._may_move = False
+            self._slow_down_s = 0.0
             self._pose = self._mechanics.pose_in(report)
 
     def switch_lamp(self, on: bool) -> float:
@@ -190,13 +190,13 @@ class GrblLightArm:
         """
         self._require_open()
         doing = f"switching the lamp {'on' if on else 'off'}"
-        with self._operation(doing):
+        with self._operation(doing, self._soon()):
             if on:
                 self._lamp_on = True  # before it is, so that an interruption finds it so
                 self._lamp.light(self._talk, doing=doing)
                 self._talk.wait(self._settings.lamp_settle_s, doing=doing)
             else:
-                extinguish(self._talk, doing=doing)
+                self._lamp.extinguish(self._talk, doing=doing)
                 self._lamp_on = False
             return self._clock()
 
@@ -211,13 +211,14 @@ class GrblLightArm:
             The door is open, or the controller does not unlock.
         """
         self._require_open()
-        with self._operation("unlocking"):
+        with self._operation("unlocking", self._soon()):
             self._distrust("it was unlocked without homing")
             self._talk.reset(doing="unlocking")
             self._talk.acknowledge(
                 "$X", Deadline(self._clock() + self._settings.reply_timeout_s), doing="unlocking"
             )
-            extinguish(self._talk, doing="unlocking")
+            self._lamp.extinguish(self._talk, doing="unlocking")
+            self._lamp_on = False
 
     def stop(self) -> None:
         """Stop motion and put the lamp out, by every means there is; harmless at any time.
@@ -232,10 +233,10 @@ class GrblLightArm:
         if self._closed:
             return
         self._notice()
-        if self._settled and not self._may_move:
+        if self._settled:
             self._lamp_on = False
             try:
-                if self._talk.lights_out(self._settings.reply_timeout_s):
+                if self._talk.lights_out(self._settings.reply_timeout_s, after_reset=False):
                     return
             except DeviceLostError:
                 self._lost = True
@@ -250,7 +251,7 @@ class GrblLightArm:
             self._talk.line.close()
 
     @contextmanager
-    def _operation(self, doing: str) -> Iterator[None]:
+    def _operation(self, doing: str, deadline: Deadline | None) -> Iterator[None]:
         """Whatever ends the work inside early, the arm stands still in the dark before it gets out.
 
         Raises
@@ -259,18 +260,21 @@ class GrblLightArm:
             It failed, and nothing confirmed that the arm stopped.
         """
         self._settled = False
+        self._talk.limit = deadline
         try:
             yield
         except BaseException as error:
+            self._talk.limit = None
             self._lost |= isinstance(error, DeviceLostError)
             self._distrust(f"{doing} failed")
             try:
                 self._halt()
             except StopFailedError as failure:
                 if isinstance(error, DeviceError):
-                    raise StopFailedError(f"{error}. {failure}") from error
+                    raise StopFailedError(f"{error}; and {failure}") from error
                 # An interruption stays one; closing the rig stops the arm, and says so, again.
             raise
+        self._talk.limit = None
         self._settled = True
 
     def _halt(self) -> None:
@@ -284,7 +288,7 @@ class GrblLightArm:
         self._distrust(self._untrusted_because)
         try:
             dark = self._hold_and_reset()
-        except DeviceLostError as lost:
+        except DeviceLostError:
             # Opening its port again resets many a board, and a plug may be back in by now.
             try:
                 self._talk.line.close()
@@ -293,27 +297,31 @@ class GrblLightArm:
             except DeviceError as error:
                 self._lost = True
                 raise StopFailedError(
-                    f"{lost} Nothing could be sent to stop the light arm ({error})"
+                    f"the light arm could not be told to stop ({error}): cut the power of arm and "
+                    "lamp"
                 ) from error
         if not dark:
             raise StopFailedError(
                 "the light arm's controller did not confirm that motion stopped and the lamp is "
                 "out: cut the power of arm and lamp"
             )
-        self._may_move = False
+        self._slow_down_s = 0.0
+        self._lamp_on = False
         self._settled = True
 
     def _hold_and_reset(self) -> bool:
         """Hold, reset, every output off; whether the controller confirms it."""
-        still = self._talk.hold(self._mechanics.slow_down_s if self._may_move else 0.0)
+        still = self._talk.hold(self._slow_down_s)
         try:
             self._talk.reset(doing="stopping")
             anew = True
         except DeviceTimeoutError:
             anew = False
-        dark = self._talk.lights_out(self._settings.reply_timeout_s)
-        # Starting anew cuts motion and outputs, unless a report says otherwise.
-        return bool(dark and (anew or still)) or (anew and dark is None)
+        dark = self._talk.lights_out(self._settings.reply_timeout_s, after_reset=True)
+        if dark is not None:
+            self._stays_lit = not dark
+        # Starting anew cuts motion and outputs, unless a report said otherwise.
+        return (anew or still) if dark else anew and not self._stays_lit
 
     def _await_arrival(
         self, targets: list[float], arrival: Deadline, *, doing: str
@@ -324,7 +332,7 @@ class GrblLightArm:
             report = self._talk.status(doing=doing)
             if report.state is not MachineState.IDLE:
                 confirmations, idle_since = 0, math.inf
-                if report.state is not MachineState.RUN:
+                if report.state not in (MachineState.JOG, MachineState.RUN):
                     require_idle(report, doing=doing)
             elif self._mechanics.is_at(report, targets):
                 confirmations += 1
@@ -336,20 +344,30 @@ class GrblLightArm:
                 if self._clock() - idle_since > self._settings.reply_timeout_s:
                     raise DeviceError(
                         f"the light arm stands still at {self._mechanics.pose_in(report)} while "
-                        f"{doing}; the command was lost or altered on its way"
+                        f"{doing}; the command was lost or altered on its way, or somebody held it"
                     )
+            self._talk.wait(min(_POLL_S, arrival.at_s - self._clock()), doing=doing)
             if self._clock() >= arrival.at_s:
                 raise DeviceTimeoutError(
                     f"the light arm did not arrive in time while {doing}; it was at "
                     f"{self._mechanics.pose_in(report)}"
                 )
-            self._talk.wait(min(_POLL_S, arrival.at_s - self._clock()), doing=doing)
 
     def _by(self, time_s: float, deadline: Deadline | None) -> Deadline:
         """The deadline of a motion that should take ``time_s``, or an earlier one asked for."""
         settings = self._settings
         own = Deadline(self._clock() + settings.move_margin * time_s + settings.reply_timeout_s)
         return own if deadline is None else min(own, deadline)
+
+    def _soon(self) -> Deadline:
+        """When switching the lamp, with all that is looked at before and after, must be done."""
+        settings = self._settings
+        return Deadline(
+            self._clock()
+            + 3 * settings.reply_timeout_s
+            + settings.lamp_timeout_s
+            + settings.lamp_settle_s
+        )
 
     def _distrust(self, why: str) -> None:
         self._pose = None
@@ -366,8 +384,8 @@ class GrblLightArm:
             self._distrust("the controller is gone")
             self._settled = False
             return
-        if any(isinstance(message, (Alarm, Banner)) for message in messages):
-            self._distrust("the controller stopped or started anew by itself")
+        if any(map(_puts_out, messages)):
+            self._distrust("the controller stopped or started anew by itself, or its door opened")
             self._lamp_on = False
             self._settled = False
 
@@ -379,9 +397,10 @@ class GrblLightArm:
         line = SerialLine(self._open_port(), name=self._settings.port, clock=self._clock)
         return Conversation(line, reply_timeout_s=self._settings.reply_timeout_s, clock=self._clock)
 
-    def _reconnect(self) -> None:
+    def _reconnect(self, limit: Deadline | None) -> None:
         self._talk.line.close()
         self._talk = self._new_conversation()
+        self._talk.limit = limit
         self._begin()
         self._lost = False
 
@@ -395,5 +414,15 @@ class GrblLightArm:
         values = self._talk.read_settings(doing=doing)
         check_fitness(values, settings)
         self._mechanics = read_mechanics(values, build_options=options, settings=settings)
-        self._lamp = Lamp(settings.lamp, settings.lamp_power * values[Setting.SPINDLE_MAX])
+        self._lamp = Lamp(
+            settings.lamp,
+            settings.lamp_power * values[Setting.SPINDLE_MAX],
+            settings.lamp_timeout_s,
+        )
         self._settled = True
+
+
+def _puts_out(message: Message) -> bool:
+    """Whether a message tells that the controller has put the lamp out by itself."""
+    door = isinstance(message, Notice) and message.text == _DOOR
+    return door or isinstance(message, (Alarm, Banner))

@@ -104,11 +104,16 @@ class Mechanics:
         return travel_time(self.axes, offsets, self.feed)
 
     def move_line(self, targets: Sequence[float]) -> str:
-        """The line that moves the arm, which depends on nothing that was sent before."""
+        """The line that moves the arm, whatever was sent before.
+
+        A jog, because a jog with any command of an output in it is refused: no altered byte can
+        make the line that moves the arm light its lamp. Nor does a target beyond the travel, which
+        a jog refuses, lock the controller.
+        """
         words = (
             f"{axis.letter}{target:.3f}" for axis, target in zip(self.axes, targets, strict=True)
         )
-        return f"G21G90G94G53G1{''.join(words)}F{60 * self.feed:.0f}"
+        return f"$J=G21G90G53{''.join(words)}F{60 * self.feed:.0f}"
 
 
 def read_mechanics(

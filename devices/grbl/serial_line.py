@@ -192,6 +192,6 @@ class SerialLine:
 
     def _lost(self, error: Exception) -> DeviceLostError:
         return DeviceLostError(
-            f"the light arm's controller is gone from {self._name} ({error}); cut the arm's power "
-            "if it still moves, plug the controller in again and home the arm"
+            f"the light arm's controller is gone from {self._name} ({error}); plug it in again "
+            "and home the arm"
         )

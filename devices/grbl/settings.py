@@ -28,6 +28,9 @@ class LampOutput(StrEnum):
     MIST = "mist"
 
 
+SPINDLE_OUTPUTS = (LampOutput.SPINDLE, LampOutput.SPINDLE_REVERSE)
+"""Outputs whose power can be set."""
+
 Degrees = Annotated[float, Field(ge=-3600, le=3600)]
 Seconds = Annotated[float, Field(gt=0, le=3600)]
 

@@ -46,6 +46,8 @@ class SimulatedGrblController:
         ``$n`` to value; by default, those of a light arm.
     build : Build, optional
     mounting : Mounting, optional
+    lamp_outputs : str
+        Letters of the outputs that light the lamp: S and C spindle, F flood, M mist.
     place : (float, float, float), optional
         Where the axes truly stand when power comes; by default, in the middle of their travel.
     """
@@ -56,6 +58,7 @@ class SimulatedGrblController:
         *,
         build: Build | None = None,
         mounting: Mounting | None = None,
+        lamp_outputs: str = "SCFM",
         place: Vector | None = None,
     ) -> None:
         self._lock = threading.RLock()
@@ -63,7 +66,10 @@ class SimulatedGrblController:
         build = build or Build()
         stored = Settings(settings)
         self._machine = Machine(
-            stored, active_inputs=build.active_inputs, origin_by_homing="Z" in build.options
+            stored,
+            active_inputs=build.active_inputs,
+            origin_by_homing="Z" in build.options,
+            lamp_outputs=lamp_outputs,
         )
         if place is None:
             middles = [sum(self._machine.travel(axis)) / 2 for axis in range(2)]
@@ -79,9 +85,9 @@ class SimulatedGrblController:
 
     @property
     def lamp_on(self) -> bool:
-        """Whether any output that a lamp could hang on is on."""
+        """Whether the lamp is lit."""
         with self._lock:
-            return bool(self._machine.outputs)
+            return self._machine.lamp_on
 
     @property
     def moving(self) -> bool:

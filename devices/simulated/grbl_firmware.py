@@ -187,10 +187,12 @@ class Firmware(RealtimeProgram):
         self._soft_limit = True
         if self.state is State.RUN:
             self._flags.hold = True
-            while self.state is not State.IDLE:
+            while True:
                 yield from self._attend()
                 if self._abort:
                     return
+                if self.state is State.IDLE:
+                    break
                 yield lambda: self._called
         self.kill(_SOFT_LIMIT)
         yield from self._attend()

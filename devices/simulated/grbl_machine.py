@@ -94,12 +94,17 @@ class Machine:
         Letters of inputs that read active whatever happens.
     origin_by_homing : bool
         Whether homing makes its end the origin.
+    lamp_outputs : str
+        Letters of the outputs that light the lamp.
     """
 
-    def __init__(self, settings: Settings, *, active_inputs: str, origin_by_homing: bool) -> None:
+    def __init__(
+        self, settings: Settings, *, active_inputs: str, origin_by_homing: bool, lamp_outputs: str
+    ) -> None:
         self._settings = settings
         self._active_inputs = active_inputs
         self._origin_by_homing = origin_by_homing
+        self._lamp_outputs = set(lamp_outputs)
         self._offset: Vector = (0.0, 0.0, 0.0)
         self._homing: _HomingPhase | None = None
         self._spindle, self._coolant = "", frozenset[str]()
@@ -133,6 +138,11 @@ class Machine:
     def outputs(self) -> str:
         """Letters of the outputs that are on."""
         return self._spindle + "".join(sorted(self._coolant))
+
+    @property
+    def lamp_on(self) -> bool:
+        """Whether the lamp is lit."""
+        return bool(self._lamp_outputs & set(self.outputs))
 
     @property
     def inputs(self) -> str:
@@ -339,7 +349,5 @@ class Machine:
         return bool(int(self._settings[23]) >> axis & 1)
 
     def _record(self) -> None:
-        moment = Moment(
-            self.now_s, self.place, self.moving, bool(self.outputs), self._homing is not None
-        )
+        moment = Moment(self.now_s, self.place, self.moving, self.lamp_on, self._homing is not None)
         self.timeline.append(moment)

@@ -195,8 +195,7 @@ class SimulatedGrblPort:
             else:
                 self._pull_out()
         if self._master is None:
-            with contextlib.suppress(OSError):
-                self._wire.collect(now_s)  # time goes on
+            self._wire.pass_time(now_s)
             return False
         poll = select.poll()
         poll.register(self._master, select.POLLIN)

@@ -68,6 +68,17 @@ class SimulatedWire:
     boot_s : float or None
         Time that the board takes to start when its port is opened; None for a board that does not
         start anew then.
+
+    Attributes
+    ----------
+    faults : list of Fault
+        May be added to.
+    commands : int
+        Lines that the host has sent so far.
+    plugged : bool
+        Whether the plug is in.
+    attempts : list of Attempt
+        Everything that the host has sent.
     """
 
     def __init__(
@@ -78,9 +89,10 @@ class SimulatedWire:
         boot_s: float | None = None,
     ) -> None:
         self.controller = controller
-        self._faults = tuple(faults)
+        self.faults = list(faults)
         self._boot_s = boot_s
-        self._commands = self._singles = self._replies = 0
+        self.commands = 0
+        self._singles = self._replies = 0
         self._line = bytearray()
         self._parcels: deque[_Parcel] = deque()
         self._due: list[tuple[float, Callable[[float], None]]] = []
@@ -91,7 +103,7 @@ class SimulatedWire:
 
     def opened(self, now_s: float) -> None:
         """The host opens the port."""
-        self._advance(now_s)
+        self.pass_time(now_s)
         if self._boot_s is not None:
             self.controller.power_cycle()
             self._booted_s = now_s + self._boot_s
@@ -105,7 +117,7 @@ class SimulatedWire:
         OSError
             The plug is out.
         """
-        self._advance(now_s)
+        self.pass_time(now_s)
         self.attempts.append(Attempt(now_s, data))
         self._require_plug()
         if now_s < self._booted_s:
@@ -127,7 +139,7 @@ class SimulatedWire:
         OSError
             The plug is out.
         """
-        self._advance(now_s)
+        self.pass_time(now_s)
         self._require_plug()
         data = bytearray()
         while self._parcels and self._parcels[0].ready_s <= now_s:
@@ -141,7 +153,12 @@ class SimulatedWire:
             times.append(self._parcels[0].ready_s)
         return min(times)
 
-    def _advance(self, now_s: float) -> None:
+    def later(self, time_s: float, happen: Callable[[float], None]) -> None:
+        """Have something happen at a time, which it is given."""
+        if math.isfinite(time_s):
+            self._due.append((time_s, happen))
+
+    def pass_time(self, now_s: float) -> None:
         """Let time pass, with what is due on the way."""
         while self._due:
             self._due.sort(key=lambda due: due[0])
@@ -163,14 +180,14 @@ class SimulatedWire:
         if byte == 0x18:
             self._line.clear()
         lost = any(
-            isinstance(fault, RealtimeLost) and fault.command == number for fault in self._faults
+            isinstance(fault, RealtimeLost) and fault.command == number for fault in self.faults
         )
         if not (lost or self._deaf):
             self.controller.receive(bytes([byte]))
 
     def _pass_command(self, line: bytes, now_s: float) -> None:
-        number, self._commands = self._commands, self._commands + 1
-        for fault in self._faults:
+        number, self.commands = self.commands, self.commands + 1
+        for fault in self.faults:
             if getattr(fault, "command", None) != number or isinstance(fault, RealtimeLost):
                 continue
             if isinstance(fault, CommandLost):
@@ -190,22 +207,18 @@ class SimulatedWire:
             elif isinstance(fault, Unplugged):
                 self.plugged = False
                 self._parcels.clear()
-                self._later(now_s + fault.back_after_s, self._plug_in)
+                self.later(now_s + fault.back_after_s, self._plug_in)
             elif isinstance(fault, FallsSilent):
                 self._mute, self._deaf = True, fault.deaf
             elif isinstance(fault, AlarmTrips):
                 self.controller.trip_alarm(fault.code)
             elif isinstance(fault, DoorOpens):
                 self.controller.open_door()
-                self._later(now_s + fault.closes_after_s, lambda _: self.controller.close_door())
+                self.later(now_s + fault.closes_after_s, lambda _: self.controller.close_door())
             elif isinstance(fault, LampSticks):
                 self.controller.stick_lamp()
 
-        self._later(time_s, happen)
-
-    def _later(self, time_s: float, happen: Callable[[float], None]) -> None:
-        if math.isfinite(time_s):
-            self._due.append((time_s, happen))
+        self.later(time_s, happen)
 
     def _plug_in(self, now_s: float) -> None:
         self.plugged = True
@@ -223,7 +236,7 @@ class SimulatedWire:
             return
         number, self._replies = self._replies, self._replies + 1
         pieces, late = [(line, 0.0)], 0.0
-        for fault in self._faults:
+        for fault in self.faults:
             if getattr(fault, "reply", None) != number:
                 continue
             if isinstance(fault, ReplyLost):
