@@ -106,7 +106,7 @@ def stretch_canvas(
     bow = np.outer(np.cos(np.pi * y / canvas_mm[1]), np.cos(np.pi * x / canvas_mm[0]))
     height += (bow_mm * (bow - 0.5)).astype(np.float32)
     albedo = np.empty((rows, cols, 3), np.uint8)
-    tone = 1 + 0.12 * smooth_noise((rows, cols), 6 / pitch_mm, random)
+    tone = 1 + 0.05 * smooth_noise((rows, cols), 6 / pitch_mm, random)
     for channel, reflectance in enumerate(ground):
         albedo[..., channel] = np.clip(code_albedo(reflectance) * tone, 0, 255)
     return Canvas(

@@ -218,7 +218,9 @@ def cast_shadows(
         dx = (light[0] - points[n, 0]) / pitch
         dy = (points[n, 1] - light[1]) / pitch
         dh = light[2] - points[n, 2]
-        start, end = _clip_to(0.0, 1.0, points[n, 2] + margin, dh, back, high)
+        # Points on the side of a solid are clear of it a little way out.
+        length = math.sqrt((dx * dx + dy * dy) * pitch * pitch + dh * dh)
+        start, end = _clip_to(1e-6 / length, 1.0, points[n, 2] + margin, dh, back, high)
         if start <= end:
             x = points[n, 0] / pitch + (cols - 1) * 0.5
             y = (rows - 1) * 0.5 - points[n, 1] / pitch
@@ -227,49 +229,3 @@ def cast_shadows(
             )
             hidden[n] = t >= 0
     return hidden
-
-
-@njit(parallel=True, cache=True)
-def sample_surface(
-    z: NDArray[np.float32],
-    albedo: NDArray[np.uint8],
-    roughness: NDArray[np.uint8],
-    varnish: NDArray[np.uint8],
-    metal: NDArray[np.uint8],
-    pitch: float,
-    points: NDArray[np.float64],
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Unit normals (n, 3) and finish (n, 6) at points (n, 2+), bilinear between grid points.
-
-    The finish is albedo of red, green and blue, roughness, varnish and metal, decoded. Slopes are
-    central differences over two cells, one-sided at the border. Points beyond it take its values.
-    """
-    rows, cols = z.shape
-    normals = np.empty((len(points), 3), np.float32)
-    finish = np.empty((len(points), 6), np.float32)
-    for n in prange(len(points)):
-        x = min(max(points[n, 0] / pitch + (cols - 1) * 0.5, 0.0), cols - 1.0)
-        y = min(max((rows - 1) * 0.5 - points[n, 1] / pitch, 0.0), rows - 1.0)
-        c = min(int(x), cols - 2)
-        r = min(int(y), rows - 2)
-        slope_x = 0.0
-        slope_y = 0.0
-        finish[n] = 0.0
-        for j in range(r, r + 2):
-            for i in range(c, c + 2):
-                weight = (1 - abs(x - i)) * (1 - abs(y - j))
-                left, right = max(i - 1, 0), min(i + 1, cols - 1)
-                above, below = max(j - 1, 0), min(j + 1, rows - 1)
-                slope_x += weight * (float(z[j, right]) - z[j, left]) / ((right - left) * pitch)
-                slope_y += weight * (float(z[above, i]) - z[below, i]) / ((below - above) * pitch)
-                for k in range(3):
-                    code = albedo[j, i, k] / 255.0
-                    finish[n, k] += weight * code * code
-                finish[n, 3] += weight * roughness[j, i] / 255.0
-                finish[n, 4] += weight * varnish[j, i] / 255.0
-                finish[n, 5] += weight * metal[j, i] / 255.0
-        scale = 1 / math.sqrt(1 + slope_x * slope_x + slope_y * slope_y)
-        normals[n, 0] = -slope_x * scale
-        normals[n, 1] = -slope_y * scale
-        normals[n, 2] = scale
-    return normals, finish

@@ -237,9 +237,10 @@ class SimulatedScene:
         points = eye + distance[:, np.newaxis] * rays
         normals = np.zeros((len(rays), 3), np.float32)
         finish = np.zeros((len(rays), 6), np.float32)
+        footprints = _footprints(points.reshape(lens.height, lens.width, 3))
         for thing, own in zip(objects, distances, strict=True):
             seen = np.flatnonzero(own == distance)
-            found = thing.points_at(points[seen])
+            found = thing.points_at(points[seen], footprints[seen])
             normals[seen], finish[seen] = found.normals, found.finish
         panel = np.full((len(rays), 2), _UNLIT)
         seen = np.flatnonzero(np.isfinite(distance))
@@ -290,3 +291,17 @@ class SimulatedScene:
         for thing in self.background:
             hidden |= thing.hides(points, light)
         return hidden
+
+
+def _footprints(points: NDArray[np.float64]) -> NDArray[np.float32]:
+    """By how much the point moves from pixel to pixel along rows and columns, (n, 2, 3).
+
+    Zero beside edges, where the neighbours lie on something else.
+    """
+    moves = np.empty((*points.shape[:2], 2, 3), np.float32)
+    for along, axis in enumerate((1, 0)):
+        step = np.gradient(points, axis=axis)
+        length = np.linalg.norm(step, axis=-1)
+        usual = np.nanmedian(length) if np.isfinite(length).any() else 0.0
+        moves[:, :, along] = np.where((length < 4 * usual)[..., np.newaxis], step, 0)
+    return moves.reshape(-1, 2, 3)

@@ -27,8 +27,14 @@ class SceneObject(Protocol):
     ) -> NDArray[np.float64]:
         """Distance (n,) along each unit direction (n, 3); NaN where it is missed."""
 
-    def points_at(self, points: NDArray[np.float64]) -> SurfacePoints:
-        """Shape and reflectance at points (n, 3) of its surface, normals in the scene frame."""
+    def points_at(
+        self, points: NDArray[np.float64], footprints: NDArray[np.float32]
+    ) -> SurfacePoints:
+        """Shape and reflectance at points (n, 3) of its surface, normals in the scene frame.
+
+        The reflectance is averaged over footprints (n, 2, 3): by how much the point moves from one
+        pixel to the next, along a row and along a column.
+        """
 
     def hides(self, points: NDArray[np.float64], light: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Whether it stands between each point (n, 3) and a light (3,)."""
@@ -68,9 +74,15 @@ class PlacedSurface:
         turned = directions @ self._rotation if self._moved else directions
         return np.asarray(cast_rays(*(*self._solid, local, turned)))
 
-    def points_at(self, points: NDArray[np.float64]) -> SurfacePoints:
-        """Shape and reflectance at points of the surface."""
-        found = self.surface.points_at(self._to_surface(points))
+    def points_at(
+        self, points: NDArray[np.float64], footprints: NDArray[np.float32]
+    ) -> SurfacePoints:
+        """Shape and reflectance at points of the surface, averaged over footprints."""
+        if self._moved:
+            footprints = footprints @ self._rotation.astype(np.float32)
+        found = self.surface.points_at(
+            self._to_surface(points), np.ascontiguousarray(footprints[..., :2])
+        )
         if not self._moved:
             return found
         turned = (found.normals @ self._rotation.T).astype(np.float32)
@@ -127,7 +139,9 @@ class Wall:
         reach[down] = (self.z_mm - origin[2]) / directions[down, 2]
         return reach
 
-    def points_at(self, points: NDArray[np.float64]) -> SurfacePoints:
+    def points_at(
+        self, points: NDArray[np.float64], footprints: NDArray[np.float32]
+    ) -> SurfacePoints:
         """Alike everywhere."""
         normal = np.array([0, 0, 1], np.float32)
         return SurfacePoints(

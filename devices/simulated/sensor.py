@@ -70,7 +70,8 @@ class Sensor:
     black_level : float
         Sensor number of no light.
     gain : float or None
-        Sensor numbers per electron; None takes what puts the full well at full scale.
+        Sensor numbers per electron; None takes what puts the full well at full scale, less the
+        read-out's noise, so that what is saturated reads as full scale.
     electrons_per_s : float or None
         Electrons per second on white paper in full light; None takes 20 times the full well.
     dark_e_per_s : float
@@ -110,7 +111,7 @@ class Sensor:
         """The gain in force."""
         if self.gain is not None:
             return self.gain
-        return (self.ceiling - self.black_level) / self.full_well_e
+        return (self.ceiling - self.black_level) / self._surely_full_e
 
     @property
     def rate_e_per_s(self) -> float:
@@ -122,12 +123,14 @@ class Sensor:
     @property
     def saturation_level(self) -> int:
         """Sensor number from which a sample may be saturated, by its well or its converter."""
-        noise = 5 * float(np.hypot(self.read_noise_e, self.dsnu_e))
-        full = self.black_level + self.numbers_per_electron * (self.full_well_e - noise)
-        # A well just at full scale saturates with the converter.
-        if self.gain is None or full >= self.ceiling:
-            return self.ceiling
-        return int(full)
+        full = self.black_level + self.numbers_per_electron * self._surely_full_e
+        return min(self.ceiling, round(full))
+
+    @property
+    def _surely_full_e(self) -> float:
+        """What a full well reads as at least, noise included."""
+        noise = float(np.hypot(self.read_noise_e, self.dsnu_e))
+        return max(self.full_well_e - 5 * noise, 0.5 * self.full_well_e)
 
     def weights(self, colour: tuple[float, float, float]) -> NDArray[np.float64]:
         """What each colour of a light contributes, by parity of row and column, (2, 2, 3)."""
@@ -151,7 +154,17 @@ class Sensor:
     def expose(
         self, light: Light, pattern: FixedPattern, *, exposure_s: float, key: int
     ) -> NDArray[np.uint8] | NDArray[np.uint16]:
-        """Sensor numbers (n,) of a frame whose noise is that of ``key``."""
+        """Sensor numbers (n,) of a frame whose noise is that of ``key``.
+
+        Raises
+        ------
+        DeviceError
+            Light and pattern are not of the same number of pixels.
+        """
+        if {len(light.panel), len(light.response), len(light.steady)} != {len(pattern.sensitivity)}:
+            raise DeviceError(
+                f"light on {len(light.steady)} pixels meets a sensor of {len(pattern.sensitivity)}"
+            )
         kind = np.uint8 if self.bits <= 8 else np.uint16
         out: NDArray[Any] = np.empty(len(light.steady), kind)
         expose(

@@ -2,8 +2,9 @@ r"""Compiled reflection of a small light by a painted surface.
 
 A microfacet model, per unit of what a white Lambertian surface reflects (f = π f_r):
 
-* base: :math:`(1-m)\,\rho\,(1-F) + \pi D_\alpha V_\alpha F` with Fresnel's reflection by Schlick
-  (1994), :math:`F = F_0 + (1-F_0)(1-v\cdot h)^5`, :math:`F_0 = 0.04` for paint and the metal's own
+* base: :math:`(1-m)\,\rho\,(1-F(n\cdot l))(1-F(n\cdot v)) + \pi D_\alpha V_\alpha F(v\cdot h)`:
+  what enters the paint leaves it through the same surface. Fresnel's reflection is Schlick's
+  (1994), :math:`F(c) = F_0 + (1-F_0)(1-c)^5` with :math:`F_0 = 0.04` for paint and the metal's own
   colour where there is metal (share m);
 * GGX: :math:`D_\alpha = \alpha^2 / (\pi ((n\cdot h)^2(\alpha^2-1)+1)^2)` (Walter et al., EGSR
   2007), :math:`V_\alpha` Smith's height-correlated masking and shadowing over
@@ -65,11 +66,12 @@ def reflected(
     """
     metal = finish[5]
     lobe = _facets(max(finish[3], 0.02), nl, nv, nh)
+    enters = (1 - _schlick(PAINT_F0, nl)) * (1 - _schlick(PAINT_F0, nv)) * (1 - metal)
     base = 0.0
     for k in range(3):
         f0 = PAINT_F0 * (1 - metal) + finish[k] * metal
         fresnel = _schlick(f0, vh)
-        base += weights[k] * ((1 - metal) * finish[k] * (1 - fresnel) + lobe * fresnel)
+        base += weights[k] * (enters * finish[k] + lobe * fresnel)
     varnish = finish[4]
     if varnish <= 0:
         return base

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.errors import DeviceError
-from devices.simulated.ray_kernels import sample_surface
+from devices.simulated.surface_kernels import sample_finish, sample_normals
 
 
 @dataclass(frozen=True)
@@ -140,22 +140,34 @@ class Surface:
         bottom = (1 - u) * corner[2] + u * corner[3]
         return np.asarray((1 - v) * top + v * bottom)
 
-    def points_at(self, points: NDArray[np.float64]) -> SurfacePoints:
-        """Shape and reflectance below or above points (n, 3) of the surface's frame.
+    def points_at(
+        self, points: NDArray[np.float64], footprints: NDArray[np.float32] | None = None
+    ) -> SurfacePoints:
+        """Shape and reflectance at points of the surface, in its frame.
 
         Slopes are central differences over two cells, interpolated; maps are decoded, then
-        interpolated. Points beyond the edge take its values.
+        interpolated. Points beyond the edge take its values; points of the edge below the surface
+        are on the side of the solid.
+
+        Parameters
+        ----------
+        points : (n, 3) float64 array
+        footprints : (n, 2, 2) float32 array, optional
+            X and Y from one pixel to the next, along a row and along a column: reflectance, but not
+            the normal, is averaged over the pixel.
         """
-        normals, finish = sample_surface(
-            self.height,
+        if footprints is None:
+            footprints = np.zeros((len(points), 2, 2), np.float32)
+        finish = sample_finish(
             self.albedo,
             self.roughness,
             self.varnish,
             self.metal,
             self.pitch_mm,
             points,
+            footprints,
         )
-        return SurfacePoints(normals, finish)
+        return SurfacePoints(sample_normals(self.height, self.pitch_mm, points), finish)
 
     def _place(
         self, x: NDArray[np.float64], y: NDArray[np.float64]

@@ -51,12 +51,10 @@ def make_torture_piece(
     _fill(canvas, (-0.18 * wide, 0.14 * wide), (0.0, 0.46 * high), CARBON_BLACK, 0.5)
     _fill(canvas, (-0.18 * wide, 0.14 * wide), (-0.46 * high, -0.04 * high), TITANIUM_WHITE, 0.4)
     _gild(canvas, (-0.47 * wide, -0.20 * wide), (-0.46 * high, 0.46 * high), random)
-    for _ in range(11):
-        _knife_slab(
-            canvas,
-            (random.uniform(0.19, 0.42) * wide, random.uniform(-0.38, 0.38) * high),
-            random,
-        )
+    for level in np.linspace(-0.38, 0.38, 7):
+        for side in (0.22, 0.38):
+            place = side + random.uniform(-0.03, 0.03), level + random.uniform(-0.04, 0.04)
+            _knife_slab(canvas, (place[0] * wide, place[1] * high), random)
     _tear(canvas, (0.02 * wide, -0.24 * high), 9.0, random)
     frame_and_wall(canvas, frame_mm=20.0, albedo=GOLD, roughness=0.15, metal=1.0)
     return canvas.finish()
@@ -114,7 +112,9 @@ def _knife_slab(canvas: Canvas, at: tuple[float, float], random: np.random.Gener
     across = (np.cos(angle) * dy - np.sin(angle) * dx) / width
     inside = (along > 0) & (along < 1) & (np.abs(across) < 0.5)
     top = random.uniform(0.6, 1.0) * CLIFF_MM * np.clip(along, 0, 1) ** 0.7
-    top = top + 0.05 * np.sin(across * 40 + 3 * along)
+    # The blade's nicks leave lines; its chatter, waves.
+    nicks = np.interp(across * width, np.linspace(-8, 8, 60), 0.02 * random.normal(size=60))
+    top = top + nicks + 0.04 * np.sin(2 * np.pi * (along * length / 4 + 0.3 * across))
     slab = np.maximum(canvas.height[here], np.minimum(top, CLIFF_MM))
     canvas.height[here] = np.where(inside, slab, canvas.height[here])
     paint = random.uniform(0.05, 0.8, 3)
