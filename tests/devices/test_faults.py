@@ -16,14 +16,16 @@ from devices.errors import (
     DeviceTimeoutError,
     FrameOrderError,
 )
-from devices.interfaces import Projection
+from devices.interfaces import ArmPose, Projection
 from devices.rig import Rig
 from devices.simulated.faults import (
     CameraUnplugged,
     ClockJump,
     DroppedFrame,
+    FaultyArm,
     FaultyCamera,
     FaultyProjector,
+    LampFailure,
     LateFrame,
     Latency,
     OneLate,
@@ -373,3 +375,83 @@ def test_a_projector_that_shows_only_what_it_holds_is_proven_with_that(narrow_sc
             projector=FaultyProjector(projector, ProjectorDark(0)),
             shots=shots,
         )
+
+
+# The arm's lamp.
+
+POSES = [ArmPose(np.radians(az), np.radians(el)) for az in (20, 60, 200, 203) for el in (30, 70)]
+
+
+def photograph(scene, arm, exposures=(0.01,), *, poses=POSES):
+    """Dark and lit frames at every pose."""
+    rig = Rig(scene.camera, scene.projector, arm)
+    rig.begin_recording()
+    if arm.pose is None:
+        rig.arm.home()
+    taken = []
+    for pose in poses:
+        rig.move_light(pose)
+        for lit in (False, True):
+            rig.switch_lamp(lit)
+            taken += [rig.capture(exposure_s) for exposure_s in exposures]
+    rig.switch_lamp(False)
+    return taken
+
+
+@pytest.mark.parametrize("exposures", [(0.01,), (0.0001,), (0.0003, 0.01, 0.3)], ids=str)
+def test_photographs_under_the_lamp_raise_no_alarm(scene, exposures):
+    taken = photograph(scene, scene.arm, exposures)
+    assert len(taken) == 2 * len(POSES) * len(exposures)
+    for frame in taken:
+        other_lit = not frame.subject.lamp_on
+        assert frame.subject.arm_pose in POSES
+        twins = [
+            f
+            for f in taken
+            if f.subject.arm_pose == frame.subject.arm_pose
+            and f.subject.lamp_on == other_lit
+            and f.exposure_asked_s == frame.exposure_asked_s
+        ]
+        brighter = frame.image.mean() > twins[0].image.mean()
+        assert frame.exposure_asked_s < 0.001 or brighter == frame.subject.lamp_on
+
+
+@pytest.mark.parametrize("exposures", [(0.01,), (0.0003, 0.01)], ids=str)
+@pytest.mark.parametrize("at", [0, 1, 4])
+def test_a_lamp_that_fails_is_caught(scene, exposures, at):
+    with pytest.raises(FrameOrderError, match=r"lamp on at .* stays as it is when the light"):
+        photograph(scene, FaultyArm(scene.arm, LampFailure(at)), exposures, poses=POSES[:6])
+    assert not scene.arm.lamp_on
+
+
+def test_photographs_without_dark_frames_between_raise_no_alarm_either(scene):
+    """Neighbouring poses light a painting nearly alike."""
+    rig = Rig(scene.camera, scene.projector, scene.arm)
+    rig.begin_recording()
+    for degrees in np.arange(40, 42, 0.25):
+        rig.move_light(ArmPose(1.0, np.radians(degrees)))
+        rig.switch_lamp(True)
+        assert rig.capture(0.01).image.mean() > 20
+    rig.switch_lamp(False)
+
+
+def test_a_lamp_that_stays_on_is_caught(scene):
+    class Sticking(FaultyArm):
+        """Its lamp says that it is out."""
+
+        @property
+        def lamp_on(self):
+            return self.said
+
+        def switch_lamp(self, on):
+            self.said = on
+            return self._arm.switch_lamp(True)
+
+        said = False
+
+    rig = Rig(scene.camera, scene.projector, Sticking(scene.arm))
+    rig.begin_recording()
+    rig.switch_lamp(True)
+    with pytest.raises(FrameOrderError):
+        rig.capture(0.01)
+    scene.arm.switch_lamp(False)
