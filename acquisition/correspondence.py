@@ -27,6 +27,29 @@ class Rejection(IntFlag):
     NO_INTERSECTION = 32  # rays of camera and projector do not meet in front of both
     OFF_EPIPOLAR = 64  # row and column decoded contradict the rig's geometry
     OUTLIER = 128  # far from every neighbour
+    MIXED_LIGHT = 256  # no single fringe explains the samples: reflections, highlights, movement
+
+
+@dataclass(frozen=True)
+class PhaseHarmonic:
+    """A periodic error of a fringe's phase that was compensated.
+
+    Attributes
+    ----------
+    order : int
+        Periods of the error in one of the fringe.
+    amplitude_rad : float
+        What was subtracted.
+    residual_rad : float
+        Amplitude that the same estimate finds afterwards.
+    sigma_rad : float
+        Standard error of the amplitude.
+    """
+
+    order: int
+    amplitude_rad: float
+    residual_rad: float
+    sigma_rad: float
 
 
 @dataclass(frozen=True)
@@ -46,6 +69,8 @@ class AxisCoordinate:
     residual_rms : float
         RMS of what the fringe model leaves unexplained, in sensor numbers; NaN if there are no
         more steps than unknowns.
+    harmonics : tuple of PhaseHarmonic
+        Errors of the finest fringe's phase by the projector's response, if they were compensated.
     """
 
     coordinate: NDArray[np.float64]
@@ -53,6 +78,7 @@ class AxisCoordinate:
     modulation: NDArray[np.float32]
     period_px: float
     residual_rms: float
+    harmonics: tuple[PhaseHarmonic, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -65,7 +91,7 @@ class CorrespondenceMap:
         :class:`AxisCoordinate` by :class:`~acquisition.patterns.Axis`; one axis is enough.
     ambient : (rows, cols) float32 array
         Mean level A of the fringes in sensor numbers.
-    rejection : (rows, cols) uint8 array
+    rejection : (rows, cols) uint16 array
         :class:`Rejection` bits, 0 where every axis present is good.
     origin : (int, int)
         Column and row, in the camera's full frame, of element ``[0, 0]`` (captures may be
@@ -77,7 +103,7 @@ class CorrespondenceMap:
 
     axes: dict[Axis, AxisCoordinate]
     ambient: NDArray[np.float32]
-    rejection: NDArray[np.uint8]
+    rejection: NDArray[np.uint16]
     origin: tuple[int, int]
     noise_sigma: float
 

@@ -8,13 +8,19 @@ beside harmonics of the projector that are smooth in space and no noise.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from acquisition.frame_files import Samples
+from acquisition.fringes import Fringe
+
 QUANTISATION_VARIANCE = 1 / 12
+# Samples that an estimate needs.
+_ENOUGH = 100
 
 
 @dataclass(frozen=True)
@@ -91,3 +97,104 @@ def fit_sample_noise(
         read = floor
         gain = float(np.median(np.maximum(variances - floor, 0) / np.maximum(levels, 1e-6)))
     return SampleNoise(max(floor, float(read)), float(gain), origin)
+
+
+def estimate_noise(
+    fringes: Sequence[tuple[Fringe, Samples]], *, saturation: int | None = None
+) -> SampleNoise:
+    """Noise of a sample from the redundancy of fringes.
+
+    With four steps or more, the white part of each fringe's own residual; with three, the white
+    part of what the means of several fringes disagree by; with a single three-step fringe, the
+    differences of neighbouring pixels, which also hold texture, so that the noise is overestimated.
+
+    Parameters
+    ----------
+    fringes : sequence of (Fringe, (steps, rows, cols) array)
+        Fringes with their frames, or some rows of them.
+    saturation : int, optional
+        Level at which a sample saturates; pixels that reach it are left out.
+
+    Returns
+    -------
+    SampleNoise
+    """
+    redundant = [(fringe, stack) for fringe, stack in fringes if fringe.steps > 3]
+    if redundant:
+        freedom = redundant[0][0].steps - 3
+        alike = [pair for pair in redundant if pair[0].steps - 3 == freedom]
+        found = [_white_residual(fringe, stack, saturation) for fringe, stack in alike]
+        if sum(len(level) for level, _ in found) > _ENOUGH:
+            return fit_sample_noise(
+                np.concatenate([level for level, _ in found]),
+                np.concatenate([squares for _, squares in found]),
+                degrees_of_freedom=freedom,
+                origin=f"white part of the residual of {freedom + 3} phase steps",
+            )
+    if len(fringes) > 1:
+        level, squares = _white_disagreement([stack for _, stack in fringes], saturation)
+        if len(level) > _ENOUGH:
+            return fit_sample_noise(
+                level,
+                squares,
+                degrees_of_freedom=len(fringes) - 1,
+                origin=f"agreement of the means of {len(fringes)} fringes",
+            )
+    frame = fringes[0][1][0].astype(np.float64)
+    second = _second_differences(frame)
+    unsaturated = _unsaturated(fringes[0][1][:1], saturation)
+    if not unsaturated.any():
+        return SampleNoise(QUANTISATION_VARIANCE, 0.0, "quantisation: too little to tell more from")
+    return fit_sample_noise(
+        frame[:, 1:-1][unsaturated],
+        second[unsaturated] ** 2,
+        degrees_of_freedom=1,
+        origin="differences of neighbouring pixels (includes texture)",
+    )
+
+
+def _second_differences(images: NDArray[np.float64]) -> NDArray[np.float64]:
+    """White part of pictures (..., rows, cols): second differences along rows, of their variance.
+
+    What is smooth along a row (harmonics of the projector, steps of its grey levels) drops out.
+    """
+    return (images[..., 2:] - 2 * images[..., 1:-1] + images[..., :-2]) / np.sqrt(6)
+
+
+def _unsaturated(stack: Samples, saturation: int | None) -> NDArray[np.bool_]:
+    """(rows, cols - 2) mask of pixels that, like their neighbours, stay below the ceiling."""
+    rows, cols = stack.shape[1:]
+    if saturation is None or cols < 3:
+        return np.ones((rows, max(0, cols - 2)), np.bool_)
+    below = (stack < saturation).all(axis=0)
+    return below[:, 2:] & below[:, 1:-1] & below[:, :-2]
+
+
+def _white_residual(
+    fringe: Fringe, stack: Samples, saturation: int | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Level, and sum of squares of the white part of the fringe fit's residual, where lit."""
+    samples = stack.astype(np.float64)
+    parameters = np.tensordot(fringe.solution, samples, axes=1)
+    residual = samples - np.tensordot(fringe.design, parameters, axes=1)
+    squares = (_second_differences(residual) ** 2).sum(axis=0)
+    level, modulation = parameters[0, :, 1:-1], np.hypot(parameters[1], parameters[2])[:, 1:-1]
+    total = (residual[:, :, 1:-1] ** 2).sum(axis=0)
+    lit = modulation > 2 * np.sqrt(total / (fringe.steps - 3))
+    lit &= _unsaturated(stack, saturation)
+    return level[lit], squares[lit]
+
+
+def _white_disagreement(
+    stacks: Sequence[Samples], saturation: int | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Level, and sum of squares of what the means of several fringes disagree by, per sample."""
+    steps = len(stacks[0])
+    same = [stack for stack in stacks if len(stack) == steps]
+    means = np.stack([stack.mean(axis=0, dtype=np.float64) for stack in same])
+    # Means of whole numbers are multiples of 1/steps, and medians of them would be too.
+    means += np.random.default_rng(0).uniform(-0.5, 0.5, means.shape) / steps
+    level = means.mean(axis=0)
+    squares = steps * (_second_differences(means - level) ** 2).sum(axis=0)
+    good = np.logical_and.reduce([_unsaturated(stack, saturation) for stack in same])
+    return level[:, 1:-1][good], squares[good]

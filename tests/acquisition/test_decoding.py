@@ -5,11 +5,12 @@ import pytest
 from synthetic_scan import expose, fringe_patterns, gray_patterns, make_plan
 
 from acquisition.correspondence import Rejection
-from acquisition.decoding import DecodingOptions, decode, estimate_noise, find_fringes
+from acquisition.decoding import DecodingOptions, decode
 from acquisition.errors import DecodingError
-from acquisition.fringe_kernels import gray_to_cell
+from acquisition.fringes import find_fringes
+from acquisition.gray_kernels import gray_to_cell
 from acquisition.patterns import Axis
-from acquisition.sample_noise import SampleNoise
+from acquisition.sample_noise import SampleNoise, estimate_noise
 
 
 def ramp(width: int = 320, height: int = 240) -> np.ndarray:

@@ -1,0 +1,104 @@
+r"""What a sample of the pixels tells of a fringe: harmonics, and systematic disagreement.
+
+*Residual of a fit.* For noise alone, the sum of squared residuals of N steps is, in variances of a
+sample, chi-square with N - 3 degrees of freedom. Photon noise makes the samples' variances unequal;
+the limit is then taken from a gamma distribution of equal mean and variance (Satterthwaite), at the
+phase where the tail is longest. Harmonics of the projector's response leave a residual in
+proportion to the modulation, the same all over the picture: its size is read off the median pixel,
+and added. A pixel beyond both is lit by more than one fringe.
+
+*Disagreement of two fringes.* Noise has a known spread; harmonics of either fringe and errors of
+the description shift the coarse coordinate systematically and by a bounded amount, read off the
+median deviation. For a sinusoid the amplitude is √2 times the standard deviation.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from acquisition.fringes import Fringe
+
+# The noise model itself is taken to be known to so much.
+_NOISE_MARGIN = 1.05
+# What float32 leaves of a squared modulation.
+_ROUNDING = 4e-6
+_LEAST_PIXELS = 50
+MEDIAN_TO_SIGMA = 1.4826
+
+
+def squares_limit(fringe: Fringe, false_alarm: float) -> float:
+    """Sum of squared residuals that noise exceeds with a probability, in variances of a sample.
+
+    Infinite where there are no more steps than unknowns.
+    """
+    if fringe.steps <= 3:
+        return float("inf")
+    return _squares_limit(tuple(fringe.shifts_rad), false_alarm)
+
+
+@lru_cache(maxsize=64)
+def _squares_limit(shifts: tuple[float, ...], false_alarm: float) -> float:
+    delta = np.array(shifts)
+    design = np.stack([np.ones_like(delta), np.cos(delta), np.sin(delta)], axis=1)
+    remainder = np.eye(len(delta)) - design @ np.linalg.pinv(design)
+    largest = 0.0
+    for phase in np.linspace(0, 2 * np.pi, 32, endpoint=False):
+        for contrast in (0.0, 1.0):
+            spread = remainder * (1 + contrast * np.cos(phase + delta))
+            mean, square = np.trace(spread), np.trace(spread @ spread)
+            if mean > 1e-9:
+                limit = square / mean * stats.chi2.isf(false_alarm, mean**2 / square)
+                largest = max(largest, float(limit))
+    return _NOISE_MARGIN * largest
+
+
+def residual_harmonics(
+    squares: NDArray[np.floating],
+    modulation: NDArray[np.floating],
+    noise_variance: NDArray[np.floating],
+    *,
+    degrees_of_freedom: int,
+) -> float:
+    """Root of the squared residuals that harmonics leave, in modulations.
+
+    Parameters
+    ----------
+    squares, modulation, noise_variance : (n,) arrays
+        Sum of squared residuals, modulation, and variance of a sample, of pixels in good light.
+    degrees_of_freedom : int
+        Of the residuals.
+
+    Returns
+    -------
+    float
+        At the phase where it is largest: with one degree of freedom that is twice, in squares, what
+        the median phase leaves.
+    """
+    if degrees_of_freedom < 1 or len(squares) < _LEAST_PIXELS:
+        return float(np.sqrt(_ROUNDING))
+    excess = squares - stats.chi2.median(degrees_of_freedom) * noise_variance
+    typical = max(0.0, float(np.median(excess / modulation**2)))
+    return float(np.sqrt(2 * typical + _ROUNDING))
+
+
+def systematic_disagreement(
+    apart: NDArray[np.floating], variance: NDArray[np.floating], *, largest: float
+) -> float:
+    """Amplitude of the disagreement of two coordinates that noise does not explain.
+
+    Parameters
+    ----------
+    apart, variance : (n,) arrays
+        Disagreement, and its variance by noise.
+    largest : float
+        The amplitude is at most this.
+    """
+    if len(apart) < _LEAST_PIXELS:
+        return 0.0
+    spread = MEDIAN_TO_SIGMA * float(np.median(np.abs(apart)))
+    excess = spread**2 - float(np.median(variance))
+    return min(largest, float(np.sqrt(2 * max(0.0, excess))))

@@ -1,0 +1,140 @@
+r"""Fringes of a plan: which frames are the steps of which fringe, and what they weigh in its fit.
+
+The model of a step is :math:`v_k = A + B\cos(\varphi + \delta_k)
+= A + c\cos\delta_k - s\sin\delta_k` with :math:`c = B\cos\varphi`, :math:`s = B\sin\varphi`:
+linear in (A, c, s), so that least squares gives all three for any three or more distinct shifts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.errors import DecodingError
+from acquisition.patterns import Axis, PhaseShift
+from acquisition.plan import Plan
+
+STEPS_AT_ONCE = 4
+
+
+@dataclass(frozen=True)
+class Fringe:
+    """The steps of one fringe at one exposure, among the frames of a plan.
+
+    Attributes
+    ----------
+    axis : Axis
+    period_px : float
+    origin_rad : float
+    gamma : float
+    shifts_rad : (steps,) float64 array
+    frame_ids : tuple of str
+        Frame of each step.
+    exposure_s : float or None
+        Exposure asked for; None where the plan does not say.
+    """
+
+    axis: Axis
+    period_px: float
+    origin_rad: float
+    gamma: float
+    shifts_rad: NDArray[np.float64]
+    frame_ids: tuple[str, ...]
+    exposure_s: float | None = None
+
+    @property
+    def steps(self) -> int:
+        """Number of steps."""
+        return len(self.shifts_rad)
+
+    @property
+    def design(self) -> NDArray[np.float64]:
+        """(steps, 3) array that takes (A, c, s) to the samples."""
+        shifts = self.shifts_rad
+        return np.stack([np.ones_like(shifts), np.cos(shifts), -np.sin(shifts)], axis=1)
+
+    @property
+    def solution(self) -> NDArray[np.float64]:
+        """(3, steps) pseudo-inverse that takes the samples to (A, c, s).
+
+        Raises
+        ------
+        DecodingError
+            The steps do not determine a phase.
+        """
+        if self.steps < 3 or np.linalg.matrix_rank(self.design, tol=1e-6) < 3:
+            raise DecodingError(
+                f"the {self.axis} fringe of period {self.period_px:g} px has "
+                f"{self.steps} steps that do not determine a phase; three distinct "
+                "shifts are the least"
+            )
+        return np.ascontiguousarray(np.linalg.pinv(self.design))
+
+    @property
+    def step_weights(self) -> NDArray[np.float32]:
+        """(groups, 3, 4) float32 array: the solution in groups of four steps, filled with zeros."""
+        solution = self.solution
+        groups = -(-self.steps // STEPS_AT_ONCE)
+        padded = np.zeros((3, groups * STEPS_AT_ONCE))
+        padded[:, : self.steps] = solution
+        grouped = padded.reshape(3, groups, STEPS_AT_ONCE).transpose(1, 0, 2)
+        return np.ascontiguousarray(grouped, np.float32)
+
+    @property
+    def variance_moments(self) -> NDArray[np.float32]:
+        r"""(3, 3) float32 array by which the phase's variance follows from the fit.
+
+        With :math:`d\varphi = (\cos\varphi\,ds - \sin\varphi\,dc)/B` and a sample's variance
+        linear in its level, row i belongs to the i-th of (1, c, s) in the level, and column j to
+        the j-th of (cos², cos·sin, sin²). In squared turns.
+        """
+        _, cosine, sine = self.solution
+        products = np.stack([sine**2, -2 * sine * cosine, cosine**2])
+        moments = self.design.T @ products.T
+        return np.ascontiguousarray(moments / (2 * np.pi) ** 2, np.float32)
+
+    @property
+    def gram(self) -> NDArray[np.float32]:
+        """(3, 3) float32 array: the quadratic form of (A, c, s) that the samples' squares hold."""
+        return np.ascontiguousarray(self.design.T @ self.design, np.float32)
+
+
+def find_fringes(plan: Plan) -> list[Fringe]:
+    """Group the phase-shift frames of a plan into fringes.
+
+    Sorted by axis, then from coarse to fine; the exposures of one fringe follow one another, the
+    longest first.
+    """
+    groups: dict[tuple[Axis, float, float, float, float | None], list[tuple[float, str]]] = {}
+    for frame in plan.frames:
+        if isinstance(frame.pattern, PhaseShift):
+            steps = groups.setdefault((*frame.pattern.fringe, frame.exposure_s), [])
+            steps.append((frame.pattern.shift_rad, frame.id))
+    fringes = [
+        Fringe(
+            *key[:4], np.array([shift for shift, _ in steps]), tuple(i for _, i in steps), key[4]
+        )
+        for key, steps in groups.items()
+    ]
+    return sorted(fringes, key=_from_coarse_to_fine)
+
+
+def exposures_of_fringes(fringes: list[Fringe]) -> list[tuple[Fringe, ...]]:
+    """Fringes in the order of :func:`find_fringes`, those that differ in exposure only together."""
+    together: dict[tuple[Axis, float, float, float], list[Fringe]] = {}
+    for fringe in fringes:
+        key = (fringe.axis, fringe.period_px, fringe.origin_rad, fringe.gamma)
+        together.setdefault(key, []).append(fringe)
+    return [tuple(exposures) for exposures in together.values()]
+
+
+def _from_coarse_to_fine(fringe: Fringe) -> tuple[Axis, float, float, float, float]:
+    return (
+        fringe.axis,
+        -fringe.period_px,
+        fringe.origin_rad,
+        fringe.gamma,
+        -(fringe.exposure_s or 0.0),
+    )

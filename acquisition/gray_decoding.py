@@ -1,0 +1,282 @@
+"""Gray codes of a plan: which frames are its bits, and the cell that every pixel sees.
+
+Beside a fringe the cell only tells the order, and a bit is held against its inverse or against the
+fringe's mean level. A code without a fringe is decoded by itself: the coordinate is the middle of
+the pixel's cell, its variance that of a uniform distribution over the cell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.errors import DecodingError
+from acquisition.frame_files import Samples
+from acquisition.frame_stream import FrameStream
+from acquisition.gray_kernels import cell_centres, judge_words, light_of_bit, read_bits, weigh_bits
+from acquisition.patterns import BLACK, WHITE, Axis, Gray
+from acquisition.plan import Plan, PlannedFrame
+from acquisition.sample_noise import QUANTISATION_VARIANCE, SampleNoise, fit_sample_noise
+
+# Takes an exposure to the (pixels,) level above which a bit is 1.
+LevelAt = Callable[[float | None], NDArray[np.float32]]
+_Picture = Samples | NDArray[np.float32]
+_LEAST_SAMPLES = 100
+
+
+@dataclass(frozen=True)
+class GrayCode:
+    """The Gray code of one axis among the frames of a plan.
+
+    Attributes
+    ----------
+    axis : Axis
+    length : int
+        Bits.
+    step_px : float
+        Width of a cell.
+    offset : float
+    bits, inverses : dict
+        Frames by bit, 0 being the most significant; several where it was taken at several
+        exposures, by rising exposure.
+    """
+
+    axis: Axis
+    length: int
+    step_px: float
+    offset: float
+    bits: dict[int, list[PlannedFrame]]
+    inverses: dict[int, list[PlannedFrame]]
+
+    @property
+    def first_centre(self) -> float:
+        """Coordinate of the middle of cell 0, as continuous patterns have it."""
+        return (0.5 - self.offset) * self.step_px
+
+    @property
+    def first_lit_centre(self) -> float:
+        """Coordinate of the middle of the pixels that show cell 0.
+
+        Cells that begin at a pixel's centre light that pixel from its edge on.
+        """
+        begins = self.step_px * self.offset
+        whole = float(self.step_px).is_integer() and float(begins).is_integer()
+        return self.first_centre - (0.5 if whole else 0.0)
+
+
+def find_gray_code(plan: Plan, axis: Axis) -> GrayCode | None:
+    """The Gray code of one axis; None where the plan has none.
+
+    Raises
+    ------
+    DecodingError
+        Several codes of one axis, or bits that are missing.
+    """
+    bits: dict[int, list[PlannedFrame]] = {}
+    inverses: dict[int, list[PlannedFrame]] = {}
+    codes = set()
+    for frame in sorted(plan.frames, key=lambda frame: frame.exposure_s or 0.0):
+        pattern = frame.pattern
+        if isinstance(pattern, Gray) and pattern.axis is axis:
+            (inverses if pattern.inverse else bits).setdefault(pattern.bit, []).append(frame)
+            codes.add(pattern.code)
+    if not codes:
+        return None
+    if len(codes) > 1:
+        raise DecodingError(f"the plan has {len(codes)} different Gray codes of the {axis}s")
+    _, length, step_px, offset = codes.pop()
+    missing = sorted(set(range(length)) - set(bits))
+    if missing:
+        raise DecodingError(f"bits {missing} of the Gray code of the {axis}s are missing")
+    return GrayCode(axis, length, step_px, offset, bits, inverses)
+
+
+def read_words(
+    code: GrayCode, stream: FrameStream, level_at: LevelAt | None = None
+) -> NDArray[np.int32]:
+    """Gray word of every pixel.
+
+    Parameters
+    ----------
+    code : GrayCode
+    stream : FrameStream
+    level_at : callable, optional
+        What bits without an inverse are held against.
+
+    Returns
+    -------
+    (pixels,) int32 array
+    """
+    words = np.zeros(stream.shape[0] * stream.shape[1], np.int32)
+    for bit in range(0, code.length, 2):
+        pair = _against(code, bit, stream, level_at)
+        both = bit + 1 < code.length
+        other = _against(code, bit + 1, stream, level_at) if both else pair
+        read_bits(words, *pair, *other, both)
+    return words
+
+
+def needs_level(code: GrayCode) -> bool:
+    """Whether some bit has no inverse to be held against."""
+    return any(bit not in code.inverses for bit in range(code.length))
+
+
+def cell_coordinates(
+    code: GrayCode, words: NDArray[np.int32], out: NDArray[np.float32] | NDArray[np.float64]
+) -> None:
+    """Middle of every pixel's cell, into ``out`` (pixels,), for the order of a fringe."""
+    cell_centres(words, code.first_centre, code.step_px, out)
+
+
+@dataclass(frozen=True)
+class DecodedCode:
+    """A Gray code decoded by itself; arrays of (pixels,).
+
+    Attributes
+    ----------
+    coordinate : float64 array
+        Middle of the pixel's cell.
+    modulation : float32 array
+        Half the second smallest difference of a bit and its inverse.
+    ambient : float32 array
+    """
+
+    coordinate: NDArray[np.float64]
+    modulation: NDArray[np.float32]
+    ambient: NDArray[np.float32]
+
+
+def decode_gray_alone(
+    code: GrayCode,
+    stream: FrameStream,
+    rejection: NDArray[np.uint16],
+    *,
+    noise: SampleNoise | None,
+    contrast: float,
+    least: float,
+) -> tuple[DecodedCode, SampleNoise]:
+    """Decode a Gray code that no fringe refines.
+
+    Parameters
+    ----------
+    code : GrayCode
+    stream : FrameStream
+    rejection : (pixels,) uint16 array
+        Rejection bits are added.
+    noise : SampleNoise or None
+        None estimates it from what bits and inverses add up to, which is the same for every bit.
+    contrast, least : float
+        Standard deviations, and sensor numbers, that the modulation must exceed.
+
+    Raises
+    ------
+    DecodingError
+        Bits without an inverse, and no white and black frame to stand in for it.
+    """
+    inverse = _inverses(code, stream)
+    pixels = len(rejection)
+    words = np.zeros(pixels, np.int32)
+    smallest, second = (np.full(pixels, np.inf, np.float32) for _ in range(2))
+    ambient = np.zeros(pixels, np.float32)
+    sums = []
+    rows = sample_rows(stream.shape)
+    for bit in range(0, code.length, 2):
+        pair = inverse(bit)
+        both = bit + 1 < code.length
+        other = inverse(bit + 1) if both else pair
+        read_bits(words, *pair, *other, both)
+        weigh_bits(smallest, second, *pair, *other, both)
+        if bit == 0:
+            light_of_bit(*pair, stream.plan.saturation_level, ambient, rejection)
+        for picture, opposite in (pair, other)[: 1 + both]:
+            sums.append(_rows(picture, rows, stream.shape) + _rows(opposite, rows, stream.shape))
+    noise = noise or _noise_of_sums(np.stack(sums), 2 * stream.plan.saturation_level)
+    modulation = np.empty(pixels, np.float32)
+    # One bit has no second smallest contrast.
+    judged = second if code.length > 1 else smallest
+    judge_words(
+        judged, ambient, noise.read_variance, noise.gain, contrast, least, modulation, rejection
+    )
+    coordinate = np.empty(pixels)
+    cell_centres(words, code.first_lit_centre, code.step_px, coordinate)
+    return DecodedCode(coordinate, modulation, ambient), noise
+
+
+def sample_rows(shape: tuple[int, int], samples: int = 32_768) -> NDArray[np.intp]:
+    """Rows, spread over a picture, that hold some number of pixels together."""
+    rows, cols = shape
+    return np.unique(np.linspace(0, rows - 1, max(1, min(rows, samples // cols))).astype(np.intp))
+
+
+def _rows(picture: _Picture, rows: NDArray[np.intp], shape: tuple[int, int]) -> NDArray[np.float64]:
+    return picture.reshape(shape)[rows].astype(np.float64)
+
+
+def _noise_of_sums(sums: NDArray[np.float64], ceiling: int) -> SampleNoise:
+    """Noise of a sample from (bits, rows, cols) sums of bit and inverse."""
+    below = (sums < ceiling).all(axis=0).ravel()
+    spread = sums.reshape(len(sums), -1)[:, below]
+    if len(sums) < 2 or spread.shape[1] < _LEAST_SAMPLES:
+        return SampleNoise(QUANTISATION_VARIANCE, 0.0, "quantisation: too little to tell more from")
+    # Twice a sample's variance at the mean level of both.
+    squares = len(sums) * spread.var(axis=0) / 2
+    return fit_sample_noise(
+        spread.mean(axis=0) / 2,
+        squares,
+        degrees_of_freedom=len(sums) - 1,
+        origin=f"sums of {len(sums)} Gray bits and their inverses",
+    )
+
+
+def _against(
+    code: GrayCode, bit: int, stream: FrameStream, level_at: LevelAt | None
+) -> tuple[_Picture, _Picture]:
+    """Picture of a bit, and what it is held against."""
+    frames, inverses = code.bits[bit], code.inverses.get(bit, [])
+    if not inverses and level_at is None:
+        raise DecodingError(f"bit {bit} of the {code.axis}s' Gray code has no inverse")
+    if len(frames) == 1:
+        frame = frames[0]
+        if inverses:
+            return stream.take(frame.id), stream.take(inverses[-1].id)
+        assert level_at is not None  # checked above
+        return stream.take(frame.id), level_at(frame.exposure_s)
+    if inverses and len(inverses) != len(frames):
+        raise DecodingError(
+            f"bit {bit} of the {code.axis}s' Gray code has {len(frames)} exposures, its inverse "
+            f"{len(inverses)}"
+        )
+    # Exposures at which both are saturated, or both dark, add nothing.
+    margin = np.zeros(stream.shape[0] * stream.shape[1], np.float32)
+    for number, frame in enumerate(frames):
+        margin += stream.take(frame.id)
+        if inverses:
+            margin -= stream.take(inverses[number].id)
+        elif level_at is not None:
+            margin -= level_at(frame.exposure_s)
+    return margin, np.zeros_like(margin)
+
+
+def _inverses(code: GrayCode, stream: FrameStream) -> Callable[[int], tuple[_Picture, _Picture]]:
+    """Takes a bit to its picture and its inverse, made of white and black where none was taken."""
+    if not needs_level(code):
+        return lambda bit: _against(code, bit, stream, None)
+    flats = {frame.pattern: frame.id for frame in stream.plan.frames}
+    if WHITE not in flats or BLACK not in flats:
+        raise DecodingError(
+            f"the plan has no fringes of the {code.axis}s, and its Gray code neither inverse "
+            "frames nor a white and a black one to tell its bits by"
+        )
+    both = stream.take(flats[WHITE]).astype(np.float32)
+    both += stream.take(flats[BLACK])
+
+    def against_rest(bit: int) -> tuple[_Picture, _Picture]:
+        if bit in code.inverses:
+            return _against(code, bit, stream, None)
+        picture = stream.take(code.bits[bit][-1].id)
+        return picture, both - picture
+
+    return against_rest

@@ -1,0 +1,235 @@
+r"""Fringe orders: how certain they are, and whether neighbours bear them out.
+
+*In time.* A coarse coordinate of standard deviation s₁ names the order of a fringe of period L and
+standard deviation s₂ wrongly where their errors differ by more than L/2, which noise does with
+probability :math:`\operatorname{erfc}(L / (2\sqrt2 \sqrt{s_1^2 + s_2^2}))`: for equal phase noise
+σ_φ and a ratio r of periods, :math:`\operatorname{erfc}(\pi / (\sqrt2\,\sigma_\varphi
+\sqrt{1 + r^2}))`. Pixels in which that exceeds a limit are uncertain: the limit is the rate at
+which a wrong order is accepted by this step. An uncertain order is kept only where neighbours bear
+it out, and none where the probability is so large that neighbours err together.
+
+*In space.* Phase runs on from pixel to pixel, whatever the order. Where coordinates jump by whole
+periods and the phase does not jump, the order of one side is wrong. Pixels are joined into
+components that do not jump; a component whose border to larger ones jumps by the same whole
+periods nearly everywhere, with the phase going on, is moved by those periods; one whose border
+contradicts itself is rejected. Where both axes were decoded, the phases of both must go on: a step
+of the surface moves the coordinate along the baseline by any amount, not by whole periods. A pixel
+of arbitrary coordinates is taken for one to be repaired with the probability that its phase falls
+within the tolerance around that of its neighbours, some 2 × 5 √2 σ_x / L per axis.
+
+If a large share of the picture contradicts its neighbours in that way, it is no noise: pictures of
+the code were taken for one another, and the decoding is refused.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import erfcinv
+
+from acquisition import order_kernels as kernels
+from acquisition.errors import DecodingError
+from acquisition.patterns import Axis
+
+# Neighbours' coordinates differ by no more than this many times the median difference.
+_SLOPE_ALLOWANCE = 4.0
+# Pixels of a component that counts towards a systematic contradiction.
+_SUBSTANTIAL_PIXELS = 30
+_SUBSTANTIAL_SHARE = 1e-3
+_SAMPLED_ROWS = 64
+
+
+@dataclass(frozen=True)
+class UnwrappedAxis:
+    """Coordinates of one axis as decoded, and what they may be wrong by.
+
+    Attributes
+    ----------
+    coordinate : (rows, cols) float64 array
+        NaN where rejected.
+    variance : (rows, cols) float32 array
+    period_px : float
+        Period of the finest fringe.
+    extent : int
+        Pixels of the panel along the axis.
+    """
+
+    coordinate: NDArray[np.float64]
+    variance: NDArray[np.float32]
+    period_px: float
+    extent: int
+
+
+@dataclass(frozen=True)
+class OrderCheck:
+    """Outcome of the spatial check.
+
+    Attributes
+    ----------
+    coordinates : dict
+        (rows, cols) float64 array by axis: repaired.
+    wrong : (rows, cols) bool array
+        Pixels whose order their neighbours contradict, in no way that can be put right.
+    repaired_pixels : int
+    rejected_pixels : int
+    """
+
+    coordinates: dict[Axis, NDArray[np.float64]]
+    wrong: NDArray[np.bool_]
+    repaired_pixels: int
+    rejected_pixels: int
+
+
+def certainty_sigmas(probability: float) -> float:
+    """Standard deviations that noise exceeds, on either side, with a probability."""
+    return float(np.sqrt(2) * erfcinv(probability))
+
+
+def wrong_order_probability(
+    sigma_rad: NDArray[np.float64] | float, ratio: float
+) -> NDArray[np.float64] | float:
+    """Probability that noise of the phases gives a wrong order between two fringes.
+
+    Parameters
+    ----------
+    sigma_rad : float or array
+        Standard deviation of both phases.
+    ratio : float
+        Coarse period over fine period.
+    """
+    from scipy.special import erfc
+
+    return erfc(np.pi / (np.sqrt(2) * sigma_rad * np.sqrt(1 + ratio**2)))
+
+
+def check_orders(
+    axes: dict[Axis, UnwrappedAxis],
+    *,
+    uncertain: NDArray[np.unsignedinteger] | None = None,
+    small: int = 8,
+    agreement: float = 0.75,
+    contradicted_share: float = 0.1,
+) -> OrderCheck:
+    """Hold the fringe orders of every pixel against those of its neighbours.
+
+    Parameters
+    ----------
+    axes : dict
+        :class:`UnwrappedAxis` by axis, one or two.
+    uncertain : (rows, cols) array of unsigned integers, optional
+        Not 0 where an order is rejected unless its component is larger than ``small``, or repaired.
+    small : int
+        Components of no more pixels that jump against all their neighbours are rejected.
+    agreement : float
+        Share of a component's border that must agree about its repair.
+    contradicted_share : float
+        Share of the pixels in substantial components of wrong order at which the code itself is
+        taken to be wrong.
+
+    Returns
+    -------
+    OrderCheck
+
+    Raises
+    ------
+    DecodingError
+        The orders contradict the phase over more than ``contradicted_share`` of the picture.
+    """
+    names = list(axes)
+    first, second = axes[names[0]], axes[names[-1]]
+    x, y = first.coordinate, second.coordinate
+    halves = (first.period_px / 2, second.period_px / 2)
+    wrong = np.zeros(x.shape, np.bool_)
+    along, down = kernels.rows_with_jumps(x, y, *halves)
+    coordinates = {name: axes[name].coordinate for name in names}
+    if not along.any() and not down.any() and x.size > small:
+        return OrderCheck(coordinates, wrong, 0, 0)
+    labels = np.empty(x.shape, np.int32)
+    runs = kernels.label_runs(x, y, *halves, along, labels)
+    first_run = np.concatenate([[0], np.cumsum(runs)])
+    if first_run[-1] == 0:
+        return OrderCheck(coordinates, wrong, 0, 0)
+    component, sizes = kernels.join_runs(x, y, *halves, along, down, labels, first_run)
+    jumps = kernels.list_jumps(
+        x,
+        y,
+        first.variance,
+        second.variance,
+        np.array([first.period_px, second.period_px]),
+        np.array([_usual_slope(x), _usual_slope(y)]),
+        along,
+        down,
+        labels,
+        first_run,
+        component,
+    )
+    verdict, shift = _judge(jumps, sizes, small, agreement)
+    _refuse_contradiction(names, verdict, shift, sizes, contradicted_share)
+    where = (along, labels, first_run, component)
+    if verdict.any():
+        for name, moves in zip(names, shift.T, strict=False):
+            unwrapped, moved = axes[name], coordinates[name].copy()
+            kernels.apply_verdicts(
+                moved,
+                unwrapped.period_px,
+                unwrapped.extent,
+                np.ascontiguousarray(moves),
+                verdict,
+                *where,
+                wrong,
+            )
+            coordinates[name] = moved
+    if uncertain is not None:
+        supported = (sizes > small) | (verdict == kernels.REPAIR)
+        kernels.reject_unsupported(uncertain, *where, supported, wrong)
+    repaired = int(sizes[verdict == kernels.REPAIR].sum())
+    return OrderCheck(coordinates, wrong, repaired, int(wrong.sum()))
+
+
+def _usual_slope(coordinate: NDArray[np.float64]) -> float:
+    """How much a coordinate may change from a pixel to the next without being a jump."""
+    rows = coordinate[:: max(1, len(coordinate) // _SAMPLED_ROWS)]
+    columns = coordinate[:, :: max(1, coordinate.shape[1] // _SAMPLED_ROWS)]
+    medians = []
+    for steps in (np.diff(rows, axis=1), np.diff(columns, axis=0)):
+        there = np.abs(steps[np.isfinite(steps)])
+        medians.append(float(np.median(there)) if len(there) else 0.0)
+    return _SLOPE_ALLOWANCE * max(medians)
+
+
+def _judge(
+    jumps: NDArray[np.int64], sizes: NDArray[np.int64], small: int, agreement: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    order, rank = kernels.component_rank(sizes)
+    # A jump from a to b by n periods: b must move by -n to agree with a, and a by n to agree with
+    # b. Listed from the component that would move.
+    back = jumps[:, [1, 0, 2, 3, 4]] * np.array([1, 1, -1, -1, 1])
+    both = np.concatenate([jumps, back])
+    both = np.ascontiguousarray(both[np.argsort(both[:, 0], kind="stable")])
+    first_jump = np.searchsorted(both[:, 0], np.arange(len(sizes) + 1))
+    verdict, shift = kernels.judge_components(
+        order, rank, first_jump, both, sizes, small, agreement
+    )
+    return verdict, shift
+
+
+def _refuse_contradiction(
+    names: list[Axis],
+    verdict: NDArray[np.int64],
+    shift: NDArray[np.int64],
+    sizes: NDArray[np.int64],
+    contradicted_share: float,
+) -> None:
+    total = sizes.sum()
+    substantial = sizes >= max(_SUBSTANTIAL_PIXELS, _SUBSTANTIAL_SHARE * total)
+    contradicted = substantial & ((verdict == kernels.REPAIR) | (verdict == kernels.AMBIGUOUS))
+    for name, moves in zip(names, shift.T, strict=False):
+        share = sizes[contradicted & (moves != 0)].sum() / total
+        if share > contradicted_share:
+            raise DecodingError(
+                f"the fringe orders of the {name}s jump by whole periods where the phase goes on, "
+                f"over {share:.0%} of the decoded picture: frames of the {name}s' code were "
+                "probably taken for one another; check their order and names"
+            )
