@@ -177,7 +177,8 @@ def solve_channel(
 ) -> tuple[float, float, float]:
     """Least squares in (ρ_d, ρ_s) ≥ 0 from normal equations; also what they take off the cost."""
     only_d = max(t_d, 0.0) / a_dd
-    only_s = max(t_s, 0.0) / a_ss
+    # Samples that the lobe does not reach at all leave a column of zeros.
+    only_s = max(t_s, 0.0) / a_ss if a_ss > 0.0 else 0.0
     det = a_dd * a_ss - a_ds * a_ds
     if det > 1e-13 * a_dd * a_ss:
         rho_d = (t_d * a_ss - t_s * a_ds) / det

@@ -1,0 +1,158 @@
+"""Which lobe, which misfit and how strong a prior a material gets: whatever predicts best.
+
+Every candidate is fitted to some of the samples of each texel and judged by the others, so that
+nothing is chosen for fitting its own data well. The error is that of a photograph exposed for the
+material: radiance clipped where only its brightest thousandth would be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.reflectance.lobe import LafortuneLobes, LobeVariant
+from fitting.reflectance.materials import Material
+from fitting.reflectance.misfit import MISFIT_SHAPES, MisfitShape, has_misfit, with_misfit
+from fitting.reflectance.priors import learn_prior, with_varying_lobe
+from fitting.reflectance.samples import RadianceSamples
+from fitting.reflectance.solver import SolverOptions, fit_texels
+
+Floats = NDArray[np.float64]
+
+FOLDS = 4
+_TIGHTNESS = (1.0, 0.5, 0.25)
+_WHITE_PERCENTILE = 99.9
+# What is more complex must predict better by this many standard errors of the difference.
+_SIGNIFICANT = 2.0
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A material as one choice among others.
+
+    Attributes
+    ----------
+    material : Material
+    texel_errors : (n,) array
+        Held-out mean squared error of each texel.
+    """
+
+    material: Material
+    texel_errors: Floats
+
+    def beats(self, other: Candidate) -> bool:
+        """Whether it predicts better by more than chance would have it."""
+        return predicts_better(self.texel_errors, other.texel_errors)
+
+
+def predicts_better(errors: Floats, other: Floats) -> bool:
+    """Whether the texels' errors are smaller on average by more than chance would have it."""
+    gain = other - errors
+    return float(gain.mean()) > _SIGNIFICANT * float(gain.std()) / np.sqrt(max(len(gain), 1))
+
+
+def held_out_errors(
+    samples: RadianceSamples,
+    fit: Callable[[RadianceSamples], LafortuneLobes],
+    *,
+    white: float | None = None,
+) -> Floats:
+    """Mean squared error of each texel on samples that its fit did not see, (n,).
+
+    Parameters
+    ----------
+    samples : RadianceSamples
+        Those of each texel are dealt out in turn to :data:`FOLDS` folds.
+    fit : callable
+        Lobes of all texels from the samples that it is given.
+    white : float, optional
+        Radiance that is clipped; by default :func:`white_level` of the samples.
+    """
+    valid = samples.valid
+    level = white_level(samples) if white is None else white
+    total = np.zeros(samples.texels)
+    count = np.zeros(samples.texels)
+    fold = np.arange(samples.weight.shape[1]) % FOLDS
+    for f in range(FOLDS):
+        out = fold == f
+        predicted = fit(samples.masked(~out)).radiance(samples.view[:, out], samples.light[:, out])
+        off = np.minimum(predicted, level) - np.minimum(samples.radiance[:, out], level)
+        seen = valid[:, out]
+        total += np.where(seen, np.sum(off**2, axis=2), 0.0).sum(axis=1)
+        count += 3 * seen.sum(axis=1)
+    return total / np.maximum(count, 1)
+
+
+def white_level(samples: RadianceSamples) -> float:
+    """Radiance that all but the brightest thousandth of the valid samples stay below."""
+    valid = samples.valid
+    return float(np.percentile(samples.radiance[valid], _WHITE_PERCENTILE)) if valid.any() else 0.0
+
+
+def choose_material(samples: RadianceSamples, *, options: SolverOptions) -> Material | None:
+    """The prior that predicts the texels of a material best.
+
+    Parameters
+    ----------
+    samples : RadianceSamples
+        Of a few hundred texels that are of one material.
+    options : SolverOptions
+
+    Returns
+    -------
+    Material or None
+        None where too few texels show a highlight.
+    """
+    best = _least(_with_misfits(samples, options))
+    if best is None:
+        return None
+    for variant in (LobeVariant.FREE, LobeVariant.ANISOTROPIC):
+        other = learn_prior(samples, replace(best.material, variant=variant), options=options)
+        if other is not None and (judged := _judge(samples, other, options)).beats(best):
+            best = judged
+    varying = _judge(samples, with_varying_lobe(best.material, samples, options=options), options)
+    others = [
+        best,
+        *(_judge(samples, m, options) for m in _tighter(best.material, varying.material)),
+    ]
+    strongest = _least(iter(others))
+    assert strongest is not None  # the list is not empty
+    return strongest.material if strongest.beats(varying) else varying.material
+
+
+def _judge(samples: RadianceSamples, material: Material, options: SolverOptions) -> Candidate:
+    def fit(seen: RadianceSamples) -> LafortuneLobes:
+        return fit_texels(seen, [material], options=options).lobes
+
+    return Candidate(material, held_out_errors(samples, fit))
+
+
+def _with_misfits(samples: RadianceSamples, options: SolverOptions) -> Iterator[Candidate]:
+    plain = Material(variant=LobeVariant.FREE)
+    shapes = MISFIT_SHAPES if has_misfit(samples, plain, options=options) else (MisfitShape(0, 0),)
+    for shape in shapes:
+        material = with_misfit(samples, Material(variant=LobeVariant.MIRROR), shape)
+        learned = learn_prior(samples, material, options=options)
+        if learned is not None:
+            yield _judge(samples, learned, options)
+
+
+def _tighter(narrow: Material, varying: Material) -> Iterator[Material]:
+    """Priors between the shared lobe for all texels and all that single texels show."""
+    assert varying.shape_covariance is not None  # learned materials have both
+    assert varying.specular_sd is not None
+    for centre in (narrow.shape_mean, varying.shape_mean):
+        for shape, strength in ((1.0, 0.5), (0.5, 1.0), (0.5, 0.5), (0.25, 0.5), (0.25, 0.25)):
+            yield replace(
+                varying,
+                shape_mean=centre,
+                shape_covariance=shape**2 * varying.shape_covariance,
+                specular_sd=strength * varying.specular_sd,
+            )
+
+
+def _least(candidates: Iterator[Candidate]) -> Candidate | None:
+    return min(candidates, key=lambda c: float(c.texel_errors.mean()), default=None)
