@@ -14,7 +14,7 @@ from acquisition.patterns import describe, pattern_image
 from acquisition.plan import Plan, PlannedFrame
 from acquisition.session import JOURNAL_FILE, RIG_FILE, Session, read_plan
 from devices.interfaces import CameraCapabilities, Projection, ProjectorCapabilities
-from devices.replay import RecordedFrame, Recording
+from devices.recording import RecordedFrame, Recording
 
 # A session does not say what its camera could have done.
 _EXPOSURE_RANGE_S = (1e-7, 86_400.0)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.errors import FrameOrderError
-from devices.interfaces import ArmPose, Frame, Subject
+from devices.interfaces import ArmPose, CameraCapabilities, Frame, Subject
 
 # Rounding of times on the monotonic clock.
 _CLOCK_S = 1e-6
@@ -211,6 +211,29 @@ class FrameOrder:
             self._pictures_before[nearest],
             exposure_ratio=exposure / nearest,
             saturation_level=self._saturation_level,
+        )
+
+
+def check_request(frame: Frame, exposure_s: float, camera: CameraCapabilities) -> None:
+    """Refuse a frame of another exposure than was asked for, or of another size or type.
+
+    Raises
+    ------
+    FrameOrderError
+        It is another frame, or a part of one.
+    """
+    if not math.isclose(frame.exposure_asked_s, exposure_s):
+        raise FrameOrderError(
+            f"frame of {frame.subject} was asked for with {exposure_s:g} s and is one that was "
+            f"asked for with {frame.exposure_asked_s:g} s; empty the camera's buffer and resume"
+        )
+    image = frame.image
+    if image.shape != (camera.height, camera.width) or image.dtype not in (np.uint8, np.uint16):
+        size = "×".join(map(str, reversed(image.shape)))
+        raise FrameOrderError(
+            f"frame of {frame.subject} is {image.dtype} of {size}, and {camera.model} takes "
+            f"{camera.width}×{camera.height}: it was cut off on its way, so look at the camera's "
+            "cable and resume"
         )
 
 

@@ -8,7 +8,6 @@ does not tell whether the light followed, the light is changed and changed back,
 from __future__ import annotations
 
 import dataclasses
-import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -18,11 +17,10 @@ import numpy as np
 
 from devices.deadline import Deadline
 from devices.errors import DeviceError, DeviceLostError, DeviceTimeoutError, FrameOrderError
-from devices.frame_order import FrameOrder, Light, differ_beyond_noise
+from devices.frame_order import FrameOrder, Light, check_request, differ_beyond_noise
 from devices.interfaces import (
     ArmPose,
     Camera,
-    CameraCapabilities,
     CameraMount,
     Frame,
     LightArm,
@@ -285,7 +283,7 @@ class Rig:
         frame = camera.capture(exposure_s, deadline=deadline)
         delivered_s = time.monotonic()
         frame = dataclasses.replace(frame, subject=self.subject)
-        _check_request(frame, exposure_s, camera.capabilities)
+        check_request(frame, exposure_s, camera.capabilities)
         if self._order is None:
             self._order = FrameOrder(saturation_level=camera.capabilities.saturation_level)
         told = self._order.check(
@@ -380,23 +378,6 @@ class Rig:
     def _differ(self, frame: Frame, other: Frame) -> bool:
         level = self.camera.capabilities.saturation_level
         return differ_beyond_noise(frame.image, other.image, saturation_level=level)
-
-
-def _check_request(frame: Frame, exposure_s: float, camera: CameraCapabilities) -> None:
-    """Refuse a frame of another exposure than was asked for, or of another size or type."""
-    if not math.isclose(frame.exposure_asked_s, exposure_s):
-        raise FrameOrderError(
-            f"frame of {frame.subject} was asked for with {exposure_s:g} s and is one that was "
-            f"asked for with {frame.exposure_asked_s:g} s; empty the camera's buffer and resume"
-        )
-    image = frame.image
-    if image.shape != (camera.height, camera.width) or image.dtype not in (np.uint8, np.uint16):
-        size = "×".join(map(str, reversed(image.shape)))
-        raise FrameOrderError(
-            f"frame of {frame.subject} is {image.dtype} of {size}, and {camera.model} takes "
-            f"{camera.width}×{camera.height}: it was cut off on its way, so look at the camera's "
-            "cable and resume"
-        )
 
 
 def _counterpart(projection: Projection) -> Projection:

@@ -35,9 +35,8 @@ from devices.interfaces import (
     ProjectorCapabilities,
 )
 from devices.manual_mount import ManualMountSettings
+from devices.recording import RecordedFrame, Recording
 from devices.replay import (
-    RecordedFrame,
-    Recording,
     ReplayCamera,
     ReplayLightArm,
     ReplayMount,

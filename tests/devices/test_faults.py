@@ -18,13 +18,10 @@ from devices.errors import (
 )
 from devices.interfaces import ArmPose, Projection
 from devices.rig import Rig
-from devices.simulated.faults import (
+from devices.simulated.fault_script import (
     CameraUnplugged,
     ClockJump,
     DroppedFrame,
-    FaultyArm,
-    FaultyCamera,
-    FaultyProjector,
     LampFailure,
     LateFrame,
     Latency,
@@ -38,6 +35,7 @@ from devices.simulated.faults import (
     SwappedFrames,
     TruncatedFrame,
 )
+from devices.simulated.faults import FaultyArm, FaultyCamera, FaultyProjector
 from devices.simulated.oil_painting import paint_small_oil
 from devices.simulated.optics import PanelResponse, SimulatedLens
 from devices.simulated.rig import SimulatedRig, demo_rig

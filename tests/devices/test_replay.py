@@ -14,7 +14,8 @@ from devices.interfaces import (
     Projection,
     ProjectorCapabilities,
 )
-from devices.replay import RecordedFrame, Recording, replay_rig
+from devices.recording import RecordedFrame, Recording
+from devices.replay import replay_rig
 
 POSES = (ArmPose(0.0, math.radians(40)), ArmPose(math.radians(30), math.radians(40)))
 PATTERNS = [Projection(f"{n:04d} pattern", np.full((8, 10), 30 * n, np.uint8)) for n in range(3)]
