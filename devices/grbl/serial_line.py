@@ -68,9 +68,13 @@ def open_serial_port(address: str, baud_rate: int) -> SerialPort:
 
 
 def _why_not(error: Exception) -> str:
-    number = error.errno if isinstance(error, OSError) else None
-    if number is None and error.args and isinstance(error.args[0], int):
-        number = error.args[0]
+    # pyserial words some errors itself, and leaves the system's number in what it wraps.
+    numbers = [
+        one.args[0]
+        for one in (error, error.__context__)
+        if one and one.args and isinstance(one.args[0], int)
+    ]
+    number = numbers[0] if numbers else None
     if number in (errno.EACCES, errno.EPERM):
         return "may not be opened: add yourself to its group (often dialout) and log in again"
     if number in (errno.EBUSY, errno.EAGAIN, errno.EWOULDBLOCK):
