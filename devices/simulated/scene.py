@@ -24,7 +24,7 @@ from devices.simulated.scene_objects import PlacedSurface, SceneObject
 from devices.simulated.sensor import Light, Sensor
 from devices.simulated.shading_kernels import shade
 
-# Views of a scene that are kept: each takes some 200 MB for three megapixels.
+# Views of a scene that are kept: each takes some 250 MB for three megapixels.
 _KEPT_VIEWS = 2
 _KEPT_LAMPS = 2
 _UNLIT = -1e4
@@ -42,22 +42,23 @@ class View:
     normals : (n, 3) float32 array
     finish : (n, 6) float32 array
         As in :class:`~devices.simulated.surface.SurfacePoints`.
-    panel : (n, 2) float64 array
-        Projector column and row of each point, lit or not.
+    panel : (n, 2) float32 array
+        Projector column and row of each point, lit or not; far outside where nothing is seen.
     response : (n,) float32 array
         Radiance per light of the panel; 1 for white paper that faces the projector.
     ambient : (n,) float32 array
         Radiance of the room's light.
+    transmission : (n,) float32 array
+        What vignetting leaves of the light.
     """
 
     lens: SimulatedLens
     points: NDArray[np.float64]
     normals: NDArray[np.float32]
     finish: NDArray[np.float32]
-    panel: NDArray[np.float64]
+    panel: NDArray[np.float32]
     response: NDArray[np.float32]
     ambient: NDArray[np.float32]
-    panel_single: NDArray[np.float32]
     transmission: NDArray[np.float32]
 
 
@@ -206,7 +207,7 @@ class SimulatedScene:
         pose = self._lit_pose()
         if pose is not None:
             steady = steady + self.lamp_radiance(pose)
-        return Light(self._shown, view.panel_single, view.response, steady)
+        return Light(self._shown, view.panel, view.response, steady)
 
     def _lit_pose(self) -> ArmPose | None:
         """Where the lamp is, if it is lit."""
@@ -258,10 +259,9 @@ class SimulatedScene:
             points=points,
             normals=normals,
             finish=finish,
-            panel=panel,
+            panel=panel.astype(np.float32),
             response=lit * transmission,
             ambient=self._ambient(finish, weights, lens) * transmission,
-            panel_single=panel.astype(np.float32),
             transmission=transmission,
         )
 

@@ -36,7 +36,7 @@ class SceneTruth:
     roughness, varnish, metal : (rows, cols) float32 array
         Reflectance there, by :mod:`devices.simulated.shading_kernels`.
     panel : (rows, cols, 2) float64 array
-        Projector column and row of each point, without noise.
+        Projector column and row of each point, without noise; NaN where nothing is seen.
     shading : (rows, cols) float64 array
         Radiance per light of the panel; 0 in its shadow.
     """
@@ -97,6 +97,6 @@ def truth_of(scene: SimulatedScene, *, position: str | None = None) -> SceneTrut
         roughness=finish[..., 3],
         varnish=finish[..., 4],
         metal=finish[..., 5],
-        panel=view.panel.reshape(*shape, 2),
+        panel=scene.projector.project(view.points).reshape(*shape, 2),
         shading=view.response.reshape(shape).astype(np.float64),
     )
