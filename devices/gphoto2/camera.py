@@ -29,7 +29,6 @@ _PAUSE_S = 0.01
 _DOWNLOADS = 3
 # A file of an exposure that was given up comes within so long after it.
 _LATE_FILE_S = 5.0
-_TRIAL_S = 0.02
 # Exposures are shorter than their names say by no more than this.
 _SHORTEST = 0.9
 _RELEASE = "the camera did not release"
@@ -163,7 +162,7 @@ class TetheredCamera:
     def _describe(self, deadline: Deadline) -> None:
         """Learn from a picture what the camera delivers."""
         low, high = self._times.range_s
-        self._sample, _, _ = self._take(min(max(_TRIAL_S, low), high), deadline)
+        self._sample, _, _ = self._take(low, deadline)
         rows, cols = self._sample.image.shape
         self._capabilities = CameraCapabilities(
             model=self._model,
@@ -189,12 +188,9 @@ class TetheredCamera:
         """Picture, exposure applied, and the moment before the release."""
         applied_s = self._expose(exposure_s, deadline)
         self._settle(deadline)
-        try:
-            asked_s = self._begin(deadline)
-            picture = self._await_picture(asked_s + _SHORTEST * applied_s, deadline)
-        except BaseException:
-            self._late_until_s = time.monotonic() + applied_s + _LATE_FILE_S
-            raise
+        asked_s = self._begin(applied_s, deadline)
+        picture = self._await_picture(asked_s + _SHORTEST * applied_s, deadline)
+        self._late_until_s = 0.0
         return picture, applied_s, asked_s
 
     def _expose(self, exposure_s: float, deadline: Deadline) -> float:
@@ -226,7 +222,7 @@ class TetheredCamera:
                 self._late_until_s = 0.0
                 self._discard(file, deadline)
 
-    def _begin(self, deadline: Deadline) -> float:
+    def _begin(self, applied_s: float, deadline: Deadline) -> float:
         """Release, once the camera is not busy any more; returns the moment before."""
 
         def trigger() -> None:
@@ -235,13 +231,20 @@ class TetheredCamera:
 
         while True:
             asked_s = time.monotonic()
+            self._late_until_s = asked_s + applied_s + _LATE_FILE_S
             try:
                 self._ask(trigger, deadline, _RELEASE)
             except CameraBusyError as error:
                 # A busy camera has not been released, so this repeats nothing.
+                self._late_until_s = 0.0
                 if deadline.remaining_s < _PAUSE_S:
                     raise DeviceTimeoutError(f"the camera stayed busy: {error}") from None
                 time.sleep(_PAUSE_S)
+            except DeviceTimeoutError:
+                raise
+            except DeviceError:
+                self._late_until_s = 0.0
+                raise
             else:
                 return asked_s
 
@@ -306,7 +309,8 @@ class TetheredCamera:
                 told = about.fields & gphoto2.GP_FILE_INFO_SIZE
                 content = self._camera.file_get(file.folder, file.name, gphoto2.GP_FILE_TYPE_NORMAL)
                 data = bytes(memoryview(content.get_data_and_size()))
-            return data, about.size if told else None
+            # A size of zero is not known yet.
+            return data, (about.size or None) if told else None
 
         for _ in range(_DOWNLOADS):
             data, size = self._ask(download, deadline, f"{file} was not downloaded")

@@ -64,10 +64,16 @@ class Gphoto2Settings(DriverSettings):
 
 
 def find(*, library: Any = None) -> list[Found]:
-    """Cameras on this computer's USB that libgphoto2 knows, and those that it may not open."""
+    """Cameras on this computer's USB that libgphoto2 knows, and those that it may not open.
+
+    Raises
+    ------
+    MissingPackageError
+        The ``gphoto2`` package is not installed.
+    """
     from devices.blocking_calls import BlockingCalls
     from devices.deadline import Deadline
-    from devices.errors import DeviceError
+    from devices.errors import DeviceError, MissingPackageError
     from devices.gphoto2.cameras import find_cameras
     from devices.gphoto2.library import load_gphoto2
 
@@ -79,6 +85,8 @@ def find(*, library: Any = None) -> list[Found]:
             deadline=Deadline.after(_SEARCH_S),
             late="the search for tethered cameras did not end",
         )
+    except MissingPackageError:
+        raise
     except DeviceError as error:
         return [Found("gphoto2", "usb", "", str(error))]
     finally:

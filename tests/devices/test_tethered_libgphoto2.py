@@ -70,7 +70,7 @@ def test_pictures_are_taken_with_the_virtual_camera(tmp_path):
     (tmp_path / "DCIM").mkdir()
     (tmp_path / "DCIM" / "picture.jpg").write_bytes(digital_negative(mosaic))
     said = run_with_virtual_camera(tmp_path)
-    assert "error" not in said
+    assert "error" not in said, said["error"]
     assert said["found"] == [["Nikon DSC D750", "usb:001,001", None]]
     assert said["range_s"] == [0.0001, 1.0]
     assert said["aperture"] == "f/8"
