@@ -81,11 +81,16 @@ def find() -> list[Found]:
     """GenICam cameras on this computer's networks and USB.
 
     A camera is only looked at, nothing about it is changed.
+
+    Raises
+    ------
+    MissingPackageError
+        Aravis is not installed.
     """
     from devices.aravis.cameras import find_cameras
     from devices.blocking_calls import BlockingCalls
     from devices.deadline import Deadline
-    from devices.errors import DeviceError
+    from devices.errors import DeviceError, MissingPackageError
 
     calls = BlockingCalls("the search for cameras")
     try:
@@ -94,6 +99,8 @@ def find() -> list[Found]:
             deadline=Deadline.after(_SEARCH_S),
             late="the search for GenICam cameras did not end",
         )
+    except MissingPackageError:
+        raise
     except DeviceError as error:
         return [Found("aravis", "network and USB", "", str(error))]
     finally:

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from devices.discovery import Found
-from devices.errors import DeviceError
+from devices.errors import DeviceError, MissingPackageError
 from devices.interfaces import Projector
 from devices.settings import DriverSettings
 
@@ -62,11 +62,19 @@ class HdmiSettings(DriverSettings):
 
 
 def find(*, display: str | None = None) -> list[Found]:
-    """Screens of this computer with their resolution."""
+    """Screens of this computer with their resolution.
+
+    Raises
+    ------
+    MissingPackageError
+        pyglet is not installed.
+    """
     from devices.hdmi.screens import list_screens
 
     try:
         screens = list_screens(display=display)
+    except MissingPackageError:
+        raise
     except DeviceError as error:
         return [Found("hdmi", "screen", "", str(error))]
     return [

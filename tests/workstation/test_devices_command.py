@@ -48,6 +48,20 @@ def test_a_search_tells_what_every_driver_found(tmp_path):
     assert "searching for devices" not in done.stdout
 
 
+def test_a_missing_package_is_information_and_no_error(tmp_path, monkeypatch):
+    for name in ("gphoto2", "serial"):
+        (tmp_path / f"{name}.py").write_text("raise ImportError('not here')")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    done = impasto("devices", "--json", tmp_path / "f.json")
+    assert done.returncode == 0, done.stderr
+    figures = {e["driver"]: e for e in json.loads((tmp_path / "f.json").read_text())}
+    for driver, package in (("gphoto2", "gphoto2"), ("grbl", "pyserial")):
+        assert f"install it: pip install {package}" in figures[driver]["missing"]
+        assert figures[driver]["problem"] is None
+        assert figures[driver]["found"] == []
+    assert "not installed: " in done.stdout
+
+
 def test_a_driver_that_takes_too_long_is_given_up_and_said_so(tmp_path):
     done = impasto("devices", "--json", tmp_path / "f.json", "--limit", "0.1")
     assert done.returncode == 0, done.stderr
