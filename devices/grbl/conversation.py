@@ -67,7 +67,7 @@ class Conversation:
         self._clock = clock
         self.limit: Deadline | None = None
         """No wait goes on after this."""
-        self._tool = int(time.time_ns() // 1_000_000) % _TOOLS
+        self._tool = int(1000 * clock()) % _TOOLS
 
     def receive(self, deadline: Deadline, *, doing: str) -> Message | None:
         """The next message that is no bad news; None if none came by the deadline.

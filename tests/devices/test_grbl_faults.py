@@ -62,8 +62,13 @@ def test_without_faults_everything_is_done():
     assert verdict.violations == ()
 
 
-def test_every_fault_is_drawn_and_bites():
-    """Each kind of fault, alone, makes some operation fail or be asked for again."""
+def test_a_trial_is_the_same_in_every_run():
+    for seed in range(20):
+        assert draw_trial(seed) == draw_trial(seed)
+        assert run_trial(draw_trial(seed)) == run_trial(draw_trial(seed))
+
+
+def test_every_kind_of_fault_is_drawn():
     kinds = {type(fault).__name__ for seed in range(300) for fault in draw_trial(seed).faults}
     assert kinds == {
         name for name in vars(grbl_faults) if isinstance(getattr(grbl_faults, name), type)
