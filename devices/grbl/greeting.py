@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 
@@ -23,12 +24,14 @@ def greet(
     *,
     name: str,
     boot_timeout_s: float,
+    may_reset: bool,
     clock: Callable[[], float] = time.monotonic,
 ) -> str:
-    """Wait until a controller answers; nothing that it does is changed.
+    """Wait until a controller answers.
 
     Opening the port resets many boards, which then greet when they are up; others just go on and
-    answer a request for their status.
+    answer a request for their status. A controller that has hit a limit answers nothing until it
+    is reset.
 
     Parameters
     ----------
@@ -37,6 +40,9 @@ def greet(
         Of the port, for messages.
     boot_timeout_s : float
         How long the controller may take to start.
+    may_reset : bool
+        Whether one that stays silent for half of that may be reset; otherwise nothing that it does
+        is changed.
     clock : callable, optional
         The monotonic clock.
 
@@ -54,6 +60,7 @@ def greet(
     """
     start = clock()
     end, ask_at = start + boot_timeout_s, start + _QUIET_S
+    reset_at = start + boot_timeout_s / 2 if may_reset else math.inf
     garbled = ""
     while clock() < end:
         message = line.receive(Deadline(min(ask_at, end)))
@@ -66,6 +73,9 @@ def greet(
         if clock() >= ask_at:
             line.send_realtime(RealtimeCommand.STATUS)
             ask_at = clock() + _ASK_EVERY_S
+        if clock() >= reset_at:
+            line.send_realtime(RealtimeCommand.RESET)
+            reset_at = math.inf
     if line.heard_anything:
         said = f" ({garbled[:40]!r})" if garbled else ""
         raise NotGrblError(
@@ -74,7 +84,7 @@ def greet(
         )
     raise DeviceTimeoutError(
         f"nothing on {name} answers within {boot_timeout_s:g} s: look whether the controller has "
-        "power, is not held in reset, and whether this is its port"
+        "power, neither homes nor is held in reset, and whether this is its port"
     )
 
 

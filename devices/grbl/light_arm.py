@@ -408,7 +408,10 @@ class GrblLightArm:
         """Make the controller start from a known state, and read and check its settings."""
         doing = "connecting"
         settings, name = self._settings, self._settings.port
-        greet(self._talk.line, name=name, boot_timeout_s=settings.boot_timeout_s, clock=self._clock)
+        boot_s, limit = settings.boot_timeout_s, self._talk.limit
+        if limit is not None:
+            boot_s = max(0.0, min(boot_s, limit.at_s - self._clock()))
+        greet(self._talk.line, name=name, boot_timeout_s=boot_s, may_reset=True, clock=self._clock)
         self._model = accept_banner(self._talk.reset(doing=doing), name=name)
         options = self._talk.read_build_options(doing=doing)
         values = self._talk.read_settings(doing=doing)

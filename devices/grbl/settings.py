@@ -164,7 +164,8 @@ def _probe(address: str) -> Found:
     except DeviceError as error:
         return Found("grbl", address, "", str(error))
     try:
-        return Found("grbl", address, greet(line, name=address, boot_timeout_s=_PROBE_BOOT_S))
+        model = greet(line, name=address, boot_timeout_s=_PROBE_BOOT_S, may_reset=False)
+        return Found("grbl", address, model)
     except DeviceError as error:
         return Found("grbl", address, "", str(error))
     finally:

@@ -54,7 +54,15 @@ class Desk:
     """An arm, what it hangs on, and a clock."""
 
     def __init__(
-        self, *, stored=ARM_SETTINGS, faults=(), build=None, boot_s=None, mounting=None, **settings
+        self,
+        *,
+        stored=ARM_SETTINGS,
+        faults=(),
+        build=None,
+        boot_s=None,
+        mounting=None,
+        before=None,
+        **settings,
     ):
         self.clock = VirtualClock()
         lamp = settings.get("lamp", LampOutput.SPINDLE)
@@ -64,6 +72,8 @@ class Desk:
             mounting=mounting,
             lamp_outputs="F" if lamp is LampOutput.FLOOD else "SC",
         )
+        if before is not None:
+            before(self.controller)
         self.wire = SimulatedWire(self.controller, faults, boot_s=boot_s)
         self.arm = GrblLightArm(
             GrblSettings(port="simulated", **settings),
@@ -424,6 +434,18 @@ def test_a_port_whose_handle_died_is_opened_again_to_stop():
 @pytest.mark.parametrize("boot_s", [None, 1.6])
 def test_boards_that_start_anew_when_opened_and_boards_that_do_not(boot_s):
     desk = Desk(boot_s=boot_s).home()
+    assert degrees(desk.arm.pose) == pytest.approx([1, 1])
+
+
+def test_a_controller_locked_by_a_limit_is_woken():
+    """It answers nothing, not even its status, until it is reset."""
+
+    def hit_a_limit(controller):
+        controller.trip_alarm(1)
+        controller.advance(2.0)
+        controller.replies()
+
+    desk = Desk(before=hit_a_limit).home()
     assert degrees(desk.arm.pose) == pytest.approx([1, 1])
 
 
