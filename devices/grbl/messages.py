@@ -172,6 +172,8 @@ _COUNTS = {
     "Ov": range(3, 4),
 }
 
+_OWN_FIELDS = _COUNTS.keys() | {"Pn", "Ln"}
+
 
 def parse_line(line: str) -> tuple[Message, ...]:
     """Messages in a line.
@@ -257,9 +259,19 @@ def _parse_status(token: str) -> Message:
         machine_position=numbers.get("MPos"),
         feed=speeds[0] if speeds else None,
         pins=fields.get("Pn", ""),
-        # The outputs come with the overrides, and are left out there if none is on.
-        accessories=fields.get("A", "" if "Ov" in fields else None),
+        accessories=_accessories(fields),
     )
+
+
+def _accessories(fields: dict[str, str]) -> str | None:
+    """Outputs that a report tells: they come with the overrides, and are left out if none is on.
+
+    A field of another firmware in their place may be theirs with its name altered, and tells
+    nothing.
+    """
+    if "A" in fields:
+        return fields["A"]
+    return "" if "Ov" in fields and fields.keys() <= _OWN_FIELDS else None
 
 
 def _numbers(text: str, counts: range) -> tuple[float, ...] | None:

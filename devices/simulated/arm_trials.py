@@ -325,10 +325,11 @@ class _Run:
     def _just_changed(self) -> bool:
         """Whether the lamp changed by itself so late that no word of it can have come."""
         lit = self._controller.lamp_on
+        late_s = sum(getattr(fault, "seconds", 0.0) for fault in self._trial.faults)
         return any(
             moment.lamp_on != lit
             for moment in self._controller.timeline
-            if moment.time_s > self._clock.now_s - _ON_ITS_WAY_S
+            if moment.time_s > self._clock.now_s - _ON_ITS_WAY_S - late_s
         )
 
     def _judge_timeline(self) -> None:

@@ -70,9 +70,23 @@ def test_a_status_report_is_read_field_by_field():
 def test_outputs_are_told_only_beside_the_overrides():
     outputs = [
         parse_line(f"<Idle|MPos:0.000,0.000,0.000|FS:0,0{rest}>")[0].accessories
-        for rest in ("", "|WCO:0.000,0.000,0.000", "|Ov:100,100,100", "|Ov:100,100,100|A:C")
+        for rest in (
+            "",
+            "|WCO:0.000,0.000,0.000",
+            "|Ov:100,100,100",
+            "|Ov:100,100,100|A:C",
+            "|Ov:100,100,100|Q:C",
+        )
     ]
-    assert outputs == [None, None, "", "C"]
+    assert outputs == [None, None, "", "C", None]
+
+
+@given(st.integers(0, len(RUN) - 1), st.integers(0, 255))
+def test_no_single_byte_makes_a_lit_lamp_look_dark(place, byte):
+    altered = RUN.encode()[:place] + bytes([byte]) + RUN.encode()[place + 1 :]
+    for line in altered.split(b"\n"):
+        for message in parse_line(line.decode("ascii", errors="replace")):
+            assert not (isinstance(message, StatusReport) and message.accessories == "")
 
 
 @pytest.mark.parametrize(
