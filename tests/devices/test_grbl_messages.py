@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from itertools import product
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -81,12 +83,12 @@ def test_outputs_are_told_only_beside_the_overrides():
     assert outputs == [None, None, "", "C", None]
 
 
-@given(st.integers(0, len(RUN) - 1), st.integers(0, 255))
-def test_no_single_byte_makes_a_lit_lamp_look_dark(place, byte):
-    altered = RUN.encode()[:place] + bytes([byte]) + RUN.encode()[place + 1 :]
-    for line in altered.split(b"\n"):
-        for message in parse_line(line.decode("ascii", errors="replace")):
-            assert not (isinstance(message, StatusReport) and message.accessories == "")
+def test_no_single_byte_makes_a_lit_lamp_look_dark():
+    for place, byte in product(range(len(RUN)), range(256)):
+        altered = RUN.encode()[:place] + bytes([byte]) + RUN.encode()[place + 1 :]
+        for line in altered.split(b"\n"):
+            for message in parse_line(line.decode("ascii", errors="replace")):
+                assert not (isinstance(message, StatusReport) and message.accessories == "")
 
 
 @pytest.mark.parametrize(
