@@ -55,6 +55,7 @@ class AravisCamera:
         self._closed = False
         self._running = False
         self._sequence = 0
+        self._ended_s = 0.0
         self._last_number: int | None = None
         deadline = Deadline.after(settings.timeout_s)
         try:
@@ -308,8 +309,12 @@ class AravisCamera:
                 "it was asked for: the camera sent an older one, or its clock jumped; restart it"
             )
         self._sequence += self._step_to(arrived.number)
-        ended = exposure_end_s(
-            stamped_s, exposure_s=applied_s, asked_s=asked_s, arrived_s=arrived.arrived_s
+        # A camera that does not wait for its exposures seems to make them one after another.
+        ended = self._ended_s = exposure_end_s(
+            stamped_s,
+            exposure_s=applied_s,
+            asked_s=max(asked_s, self._ended_s),
+            arrived_s=arrived.arrived_s,
         )
         wall_time = time.time() + ended - time.monotonic()
         return Frame(arrived.image, self._sequence, exposure_s, applied_s, ended, wall_time)

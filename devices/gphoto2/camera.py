@@ -71,6 +71,7 @@ class TetheredCamera:
         self._closed = False
         self._lost = False
         self._sequence = 0
+        self._ended_s = 0.0
         # Until when the file of an exposure that was given up may still come.
         self._late_until_s = 0.0
         deadline = Deadline.after(settings.timeout_s)
@@ -126,7 +127,8 @@ class TetheredCamera:
         picture, applied_s, asked_s = self._take(exposure_s, deadline)
         self._check_same_kind(picture)
         self._sequence += 1
-        ended = asked_s + applied_s
+        # Names of times are rounded, and an exposure seems to end after the next was asked for.
+        ended = self._ended_s = max(asked_s, self._ended_s) + applied_s
         wall_time = time.time() + ended - time.monotonic()
         return Frame(picture.image, self._sequence, exposure_s, applied_s, ended, wall_time)
 

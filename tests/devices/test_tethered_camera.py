@@ -211,7 +211,7 @@ def test_a_camera_that_stays_busy_is_given_up_at_the_deadline(body, open_body):
     camera = open_body(body)
     body.busy_until = time.monotonic() + 60
     began = time.monotonic()
-    with pytest.raises(DeviceTimeoutError, match="stayed busy|in time"):
+    with pytest.raises(DeviceTimeoutError, match=r"stayed busy|in time"):
         camera.capture(0.01, deadline=Deadline.after(0.3))
     assert time.monotonic() - began < 0.6
     assert body.releases == 1
