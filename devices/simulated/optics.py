@@ -130,7 +130,10 @@ class PanelResponse:
         of_level = ((np.arange(256) / 255) ** self.gamma).astype(np.float32)
         light = of_level[image]
         if self.blur_px > 0:
-            light = cv2.GaussianBlur(light, (0, 0), self.blur_px).astype(np.float32)
+            # Beyond the panel there is no light that could blur into it.
+            dark = cv2.BORDER_CONSTANT
+            blurred = cv2.GaussianBlur(light, (0, 0), self.blur_px, borderType=dark)
+            light = np.asarray(blurred, np.float32)
         return np.asarray(self.black + (1 - self.black) * light, np.float32)
 
 
