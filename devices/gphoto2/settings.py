@@ -10,7 +10,7 @@ from devices.discovery import Found
 from devices.interfaces import Camera
 from devices.settings import DriverSettings
 
-_SEARCH_S = 30.0
+_SEARCH_S = 15.0
 
 
 class Gphoto2Settings(DriverSettings):

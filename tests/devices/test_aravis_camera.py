@@ -212,7 +212,7 @@ def test_a_camera_killed_while_a_frame_is_awaited_is_lost(process, camera):
     with pytest.raises(DeviceLostError, match="gone"):
         camera.capture(0.01)
     camera.close()
-    assert time.monotonic() - began < 0.5
+    assert time.monotonic() - began < 1
 
 
 def test_a_killed_camera_that_is_started_again_is_found_again(process, camera):
@@ -234,7 +234,7 @@ def test_a_silent_camera_is_given_up_at_the_deadline(process, camera):
     began = time.monotonic()
     with pytest.raises(DeviceTimeoutError, match="in time"):
         camera.capture(0.01, deadline=Deadline.after(0.3))
-    assert time.monotonic() - began == pytest.approx(0.3, abs=0.15)
+    assert 0.3 <= time.monotonic() - began < 1
     process.thaw()
 
 
@@ -249,7 +249,7 @@ def test_an_interrupt_gets_through_and_leaves_no_stale_frame(process, camera):
     signal.setitimer(signal.ITIMER_REAL, 0.2)
     with pytest.raises(KeyboardInterrupt):
         camera.capture(0.01)
-    assert time.monotonic() - began < 0.4
+    assert time.monotonic() - began < 1
     process.thaw()
     time.sleep(0.2)
     asked_s = time.monotonic()

@@ -36,7 +36,7 @@ def test_a_call_is_given_up_at_its_deadline_and_the_next_one_waits_for_it(calls)
     began = time.monotonic()
     with pytest.raises(DeviceTimeoutError, match="the camera did not answer in time"):
         calls.call(release.wait, deadline=Deadline.after(0.12), late=LATE)
-    assert time.monotonic() - began == pytest.approx(0.12, abs=0.08)
+    assert 0.12 <= time.monotonic() - began < 1
     assert calls.busy
     with pytest.raises(DeviceTimeoutError, match="still busy with a call that was given up"):
         calls.call(lambda: made.append(1), deadline=Deadline.after(0.1), late=LATE)
@@ -56,7 +56,7 @@ def test_interrupts_get_through(calls):
     began = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
         calls.call(release.wait, deadline=Deadline.after(5), late=LATE)
-    assert time.monotonic() - began < 0.3
+    assert time.monotonic() - began < 1
     release.set()
 
 

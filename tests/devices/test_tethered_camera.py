@@ -123,7 +123,7 @@ def test_an_interrupt_gets_through_and_leaves_no_stale_frame(body, open_body):
     began = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
         camera.capture(1.0)
-    assert time.monotonic() - began < 0.4
+    assert time.monotonic() - began < 0.9
     assert camera.capture(0.01).image[0, 0] == 64 + 3
 
 
@@ -213,7 +213,7 @@ def test_a_camera_that_stays_busy_is_given_up_at_the_deadline(body, open_body):
     began = time.monotonic()
     with pytest.raises(DeviceTimeoutError, match=r"stayed busy|in time"):
         camera.capture(0.01, deadline=Deadline.after(0.3))
-    assert time.monotonic() - began < 0.6
+    assert time.monotonic() - began < 1
     assert body.releases == 1
 
 
@@ -229,11 +229,11 @@ def test_an_unplugged_camera_is_lost(body, open_body):
 
 def test_a_library_that_hangs_is_given_up_at_the_deadline(body, open_body):
     camera = open_body(body)
-    body.hangs_for = 1.0
+    body.hangs_for = 1.5
     began = time.monotonic()
     with pytest.raises(DeviceTimeoutError):
         camera.capture(0.01, deadline=Deadline.after(0.2))
-    assert time.monotonic() - began < 0.35
+    assert time.monotonic() - began < 1
     body.hangs_for = 0.0
     assert camera.capture(0.01).sequence == 1
 
