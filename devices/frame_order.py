@@ -51,7 +51,7 @@ class Light:
     Attributes
     ----------
     projection : str or None
-        Digest of what is projected; None when the projector is dark.
+        Digest of what is projected; None when the projector is dark, or shows black.
     lamp_on : bool
         Whether the arm's lamp is lit.
     lamp_pose : ArmPose or None
@@ -88,6 +88,8 @@ class FrameOrder:
         # A picture of each exposure, under this light and under the one before.
         self._pictures: dict[float, NDArray[Any]] = {}
         self._pictures_before: dict[float, NDArray[Any]] = {}
+        # Pictures without light, by place of the camera and exposure.
+        self._darkness: dict[str | None, dict[float, NDArray[Any]]] = {}
         self._proven = False
 
     @property
@@ -120,7 +122,8 @@ class FrameOrder:
         -------
         bool
             False if the light may not have changed as it was told to: the picture differs from one
-            under the light before by noise only, or there is none to compare it with. Then
+            under the light before, or from darkness, by noise only, or there is none to compare it
+            with. Then
             :meth:`accept_light` is to be called once the light was seen to follow.
 
         Raises
@@ -141,8 +144,17 @@ class FrameOrder:
         rows = _rows(frame.image)
         self._pictures[frame.exposure_applied_s] = rows.copy()
         if not self._proven:
-            self._proven = self._is_dark_still(light) or self._follows_the_light(frame, rows, last)
+            self._proven = self._is_dark_still(light) or (
+                self._follows_the_light(frame, rows, last) and not self._looks_dark(frame, light)
+            )
+        if light.dark:
+            darkness = self._darkness.setdefault(light.camera_position, {})
+            darkness[frame.exposure_applied_s] = self._pictures[frame.exposure_applied_s]
         return self._proven
+
+    def knows_darkness(self, camera_position: str | None) -> bool:
+        """Whether there was a frame without light from a place."""
+        return camera_position in self._darkness
 
     def accept_light(self) -> None:
         """The light of the last frame was seen to be there; more frames of it need no proof."""
@@ -205,10 +217,30 @@ class FrameOrder:
         ):
             # The frame before, exposure and all.
             return False
-        nearest = min(self._pictures_before, key=lambda other: abs(math.log(exposure / other)))
+        return self._differs_from(self._pictures_before, rows, exposure)
+
+    def _looks_dark(self, frame: Frame, light: Light) -> bool:
+        """Whether a picture under light is like one without, or darker still.
+
+        A lamp that fails changes the picture as its next light would; a recording must not end with
+        such a frame, nor be resumed after it.
+        """
+        darkness = self._darkness.get(light.camera_position)
+        if light.dark or not darkness:
+            return False
+        exposure, rows = frame.exposure_applied_s, _rows(frame.image)
+        if exposure in darkness and rows.mean() <= darkness[exposure].mean():
+            return True
+        return not self._differs_from(darkness, rows, exposure)
+
+    def _differs_from(
+        self, pictures: dict[float, NDArray[Any]], rows: NDArray[Any], exposure: float
+    ) -> bool:
+        """Whether a picture differs from that of the nearest exposure among others."""
+        nearest = min(pictures, key=lambda other: abs(math.log(exposure / other)))
         return differ_beyond_noise(
             rows,
-            self._pictures_before[nearest],
+            pictures[nearest],
             exposure_ratio=exposure / nearest,
             saturation_level=self._saturation_level,
         )

@@ -28,11 +28,7 @@ from devices.interfaces import (
     Projector,
     Subject,
 )
-
-# Edge of a square of the checkerboard that proves a projector's light, panel pixels.
-_SQUARE_PX = 32
-# A proof is not exposed for longer, unless the frame itself is.
-_LONGEST_PROOF_S = 4.0
+from devices.light_proof import counterpart, telling_exposures
 
 
 class Rig:
@@ -268,9 +264,9 @@ class Rig:
     @property
     def _light(self) -> Light:
         """The light that the scene is under, as far as the rig knows."""
-        subject = self.subject
+        subject, showing = self.subject, self._showing
         return Light(
-            projection=self._showing.digest if self._showing is not None else None,
+            projection=showing.digest if showing is not None and showing.image.any() else None,
             lamp_on=subject.lamp_on,
             lamp_pose=subject.arm_pose if subject.lamp_on else None,
             camera_position=subject.camera_position,
@@ -303,7 +299,9 @@ class Rig:
         order = self._order
         assert order is not None
         lamp_before = order.light_before is not None and order.light_before.lamp_on
-        for exposure in self._telling_exposures(frame, exposure_s):
+        if self._showing is not None and not order.knows_darkness(self._light.camera_position):
+            self._take_darkness(self._showing, exposure_s)
+        for exposure in telling_exposures(frame, exposure_s, self.camera.capabilities):
             changes = self._changes_of_light(exposure, lamp_before=lamp_before)
             again = next((back for away, back in changes if self._differ(away, back)), None)
             if again is not None:
@@ -323,18 +321,16 @@ class Rig:
             )
         order.accept_light()
 
-    def _telling_exposures(self, frame: Frame, exposure_s: float) -> Iterator[float]:
-        """Exposures at which a change of light should be seen: that of the frame first."""
-        capabilities = self.camera.capabilities
-        saturated = np.median(frame.image) >= capabilities.saturation_level
-        low, high = capabilities.exposure_range_s
-        high = min(high, max(exposure_s, _LONGEST_PROOF_S))
-        exposure = exposure_s
-        while True:
-            yield exposure
-            exposure *= 0.25 if saturated else 4.0
-            if not low <= exposure <= high:
-                return
+    def _take_darkness(self, showing: Projection, exposure_s: float) -> None:
+        """A frame without light, which later ones are held against; then all is as it was."""
+        lamp_on = self.subject.lamp_on
+        self.blank()
+        if lamp_on:
+            self.switch_lamp(False)
+        self._capture(exposure_s, None)
+        if lamp_on:
+            self.switch_lamp(True)
+        self.show(showing)
 
     def _changes_of_light(
         self, exposure_s: float, *, lamp_before: bool
@@ -360,7 +356,7 @@ class Rig:
         width, height = self.projector.capabilities.size
         dark = Projection("darkness", np.zeros((height, width), np.uint8))
         try:
-            self.show(_counterpart(showing or dark))
+            self.show(counterpart(showing or dark))
         except (DeviceTimeoutError, DeviceLostError):
             raise
         except DeviceError:
@@ -378,16 +374,3 @@ class Rig:
     def _differ(self, frame: Frame, other: Frame) -> bool:
         level = self.camera.capabilities.saturation_level
         return differ_beyond_noise(frame.image, other.image, saturation_level=level)
-
-
-def _counterpart(projection: Projection) -> Projection:
-    """A picture that can be taken neither for another one nor for a flat one.
-
-    In every other square of a checkerboard, each pixel's level is exchanged for the extreme that is
-    further from it.
-    """
-    image = projection.image
-    rows, cols = (np.arange(size) // _SQUARE_PX for size in image.shape)
-    changed = (rows[:, np.newaxis] + cols) % 2 == 0
-    extreme = np.where(image < 128, np.uint8(255), np.uint8(0))
-    return Projection(f"counterpart of {projection.name}", np.where(changed, extreme, image))

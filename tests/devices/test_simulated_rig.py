@@ -62,7 +62,7 @@ def test_devices_refuse_what_they_cannot_do(rig):
 
 
 class Stuttering:
-    """A camera that delivers its fifth frame twice: the third of a scan after two of a proof."""
+    """A camera that delivers its sixth frame twice: the third of a scan after three of a proof."""
 
     def __init__(self, camera):
         self._camera, self._count, self._last = camera, 0, None
@@ -72,7 +72,7 @@ class Stuttering:
 
     def capture(self, exposure_s, *, deadline=None):
         self._count += 1
-        if self._count != 6:
+        if self._count != 7:
             self._last = self._camera.capture(exposure_s, deadline=deadline)
         return self._last
 
