@@ -4,11 +4,12 @@ PCA of the range points gives a first plane; the Sobel gradient of the heights a
 where the painting ends; a seed fill from the centre of the picture stops there; the mask is
 eroded; a second PCA of what is left gives the canvas frame.
 
-Where the paper leaves a trap open: the centre may be a hole or a brush stroke, so the seed is the
-largest smooth region near the centre; steep impasto leaves islands in the fill, so enclosed gaps
-are filled again; points far from the painting tilt a plain PCA, so the first one is trimmed; and
-the in-plane axes of a square painting are undetermined by PCA, so X and Y follow the edges of the
-mask where it is a rectangle, else the picture's axes.
+Where the paper leaves a trap open: the centre may be a hole or a brush stroke, steep impasto cuts
+islands off, and there may be two paintings, all of which :mod:`fitting.canvas_region` sees to;
+points far from the painting tilt a plain PCA, so the first one is trimmed; and the in-plane axes of
+a square painting are undetermined by PCA, so X and Y follow the edges of the mask where it is a
+rectangle, else the picture's axes. A warped canvas is no plane: what it deviates stays in the
+heights, and :mod:`fitting.canvas_shape` reports it.
 """
 
 from __future__ import annotations
@@ -19,11 +20,16 @@ from enum import StrEnum
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from calibration.lens import rt_from_matrix
+from fitting.canvas_kernels import find_smooth, heights_above_plane
+from fitting.canvas_region import erode_outline, find_region, outline_pixels
 from fitting.errors import FittingError
 from fitting.range_image import RangeImage
+
+# Points from which planes and medians are taken, at most; more do not sharpen them.
+_POINTS = 200_000
+_FEWEST = 10
 
 
 class InPlaneAxes(StrEnum):
@@ -51,9 +57,14 @@ class CanvasOptions:
         edge of a shadow, is left out.
     erosion_px : int
         Pixels taken off the mask's outline.
+    seed : (int, int) or None
+        Row and column, in the range image, of a pixel on the canvas; None takes what lies at the
+        picture's centre.
     seed_window : float
         Side of the window around the picture's centre, as a share of the picture, in which the
         seed region is sought.
+    bridge_px : int
+        The seed fill does not pass where it is narrower than about twice this.
     rectangle_fill : float
         Share of its smallest enclosing rectangle that a mask must fill for its edges to set X
         and Y.
@@ -64,7 +75,9 @@ class CanvasOptions:
     spike_sigmas: float = 5.0
     sigma_ratio: float = 8.0
     erosion_px: int = 3
+    seed: tuple[int, int] | None = None
     seed_window: float = 0.2
+    bridge_px: int = 2
     rectangle_fill: float = 0.85
 
 
@@ -82,12 +95,15 @@ class Canvas:
         What X and Y were taken from.
     outline : (rows, cols) bool array
         The mask with its gaps filled.
+    warnings : tuple of str
+        What was ambiguous.
     """
 
     mask: NDArray[np.bool_]
     rt_cam_canvas: NDArray[np.float64]
     axes: InPlaneAxes
     outline: NDArray[np.bool_]
+    warnings: tuple[str, ...] = ()
 
 
 def extract_canvas(range_image: RangeImage, options: CanvasOptions | None = None) -> Canvas:
@@ -110,33 +126,64 @@ def extract_canvas(range_image: RangeImage, options: CanvasOptions | None = None
         Nothing smooth near the centre of the picture, or nothing left after the erosion.
     """
     options = options or CanvasOptions()
-    valid = range_image.valid
-    centre, normal = _trimmed_plane(range_image.points[valid])
-    slope, slope_sigma = _slope(range_image, normal, centre)
-    noise = options.sigmas * slope_sigma
-    # Where noise alone reaches the limit nothing is known of the slope, and the fill stops too.
-    smooth = valid & (slope < options.maximum_slope + noise) & (noise < options.maximum_slope)
-    region = _seed_region(smooth, options.seed_window)
-    outline = _erode(ndimage.binary_fill_holes(region), options.erosion_px)
+    valid = range_image.valid & np.isfinite(range_image.depth_variance)
+    if valid.sum() < _FEWEST:
+        raise FittingError(f"a canvas takes {_FEWEST} points, there are {int(valid.sum())}")
+    points = np.ascontiguousarray(range_image.points, dtype=np.float64)
+    centre, normal = _trimmed_plane(_thinned(points, valid))
+    height = heights_above_plane(points, valid, centre, normal)
+    variance = np.ascontiguousarray(range_image.depth_variance, dtype=np.float32)
+    spacing = _point_spacing(points, valid, normal)
+    smooth = find_smooth(height, variance, valid, *spacing, options.maximum_slope, options.sigmas)
+    region = find_region(
+        smooth, seed=options.seed, window=options.seed_window, bridge_px=options.bridge_px
+    )
+    outline = erode_outline(region.outline, options.erosion_px)
     mask = outline & valid
-    if mask.sum() < 10:
+    if mask.sum() < _FEWEST:
         raise FittingError(
-            f"the canvas is empty: {int(region.sum())} pixels are smooth around the centre of the "
-            f"picture and {int(mask.sum())} are left after an erosion of {options.erosion_px} px; "
-            "centre the painting in the picture, or raise the slope limit"
+            f"the canvas is empty: {int(region.outline.sum())} pixels are smooth around the centre "
+            f"of the picture and {int(mask.sum())} are left after an erosion of "
+            f"{options.erosion_px} px; centre the painting in the picture, name a seed pixel, or "
+            "raise the slope limit"
         )
-    variance = np.where(mask, range_image.depth_variance, np.inf)
-    mask &= variance <= options.sigma_ratio**2 * np.median(variance[mask])
-    centre, normal = _plane(range_image.points[mask])
-    mask &= ~_spikes(range_image, mask, centre, normal, options.spike_sigmas)
-    points = range_image.points[mask]
-    centre, normal = _plane(points)
-    x_axis, kind = _in_plane_axis(points, centre, normal, options.rectangle_fill)
+    mask &= variance <= options.sigma_ratio**2 * np.median(_thinned(variance, mask))
+    mask &= ~_spikes(height, variance, mask, options.spike_sigmas)
+    centre, normal = _plane(_thinned(points, mask))
+    corners = points[tuple(outline_pixels(mask).T)]
+    x_axis, kind = _in_plane_axis(corners, centre, normal, options.rectangle_fill)
     rotation = np.stack([x_axis, np.cross(normal, x_axis), normal], axis=1)
-    local = (points - centre) @ rotation
+    local = (corners - centre) @ rotation
     middle = 0.5 * (local[:, :2].min(axis=0) + local[:, :2].max(axis=0))
     origin = centre + rotation[:, :2] @ middle
-    return Canvas(mask, rt_from_matrix(rotation, origin), kind, outline)
+    return Canvas(mask, rt_from_matrix(rotation, origin), kind, outline, region.warnings)
+
+
+def _thinned(values: NDArray[np.floating], mask: NDArray[np.bool_]) -> NDArray[np.floating]:
+    """Values at a regular choice of the mask's pixels."""
+    index = np.flatnonzero(mask)
+    index = index[:: max(1, len(index) // _POINTS)]
+    return values.reshape(mask.size, *values.shape[2:])[index]
+
+
+def _point_spacing(
+    points: NDArray[np.float64], valid: NDArray[np.bool_], normal: NDArray[np.float64]
+) -> tuple[float, float]:
+    """Median distance on the plane of neighbours along the rows and along the columns."""
+    found = []
+    for down, right in ((0, 1), (1, 0)):
+        rows, cols = valid.shape
+        both = valid[: rows - down, : cols - right] & valid[down:, right:]
+        row, col = np.nonzero(both)
+        thin = slice(None, None, max(1, len(row) // 50_000))
+        row, col = row[thin], col[thin]
+        step = points[row + down, col + right] - points[row, col]
+        flat = step - (step @ normal)[:, np.newaxis] * normal
+        found.append(float(np.median(np.linalg.norm(flat, axis=1))) if len(row) else np.nan)
+    x, y = found
+    if not (x > 0 or y > 0):
+        raise FittingError("no two neighbouring pixels were measured: there is no surface to find")
+    return (x if x > 0 else y), (y if y > 0 else x)
 
 
 def _plane(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -150,7 +197,7 @@ def _plane(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np
 
 def _trimmed_plane(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """PCA plane of the bulk: points far off it, by the robust spread, are left out in turn."""
-    thin = points[:: max(1, len(points) // 200_000)]
+    thin = points
     near = np.median(thin, axis=0)
     distance = np.linalg.norm(thin - near, axis=1)
     thin = thin[distance <= 4 * np.median(distance) + 1e-12]
@@ -167,78 +214,21 @@ def _trimmed_plane(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], ND
     return centre, normal
 
 
-def _slope(
-    range_image: RangeImage, normal: NDArray[np.float64], centre: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Sobel slope of the heights above a plane (mm per mm), and its noise."""
-    valid = range_image.valid
-    height = np.where(valid, (range_image.points - centre) @ normal, 0.0)
-    filled = _fill_from_nearest(height, valid)
-    # Sobel's weights sum to 8 pixel spacings, and to a variance of 12.
-    gradient = np.hypot(cv2.Sobel(filled, cv2.CV_64F, 1, 0), cv2.Sobel(filled, cv2.CV_64F, 0, 1))
-    spacing = np.abs(np.median(range_image.points[valid][:, 2])) / range_image.focal_px
-    ray_normal = np.abs((range_image.points[valid] @ normal) / range_image.points[valid][:, 2])
-    sigma = np.zeros(valid.shape)
-    sigma[valid] = np.sqrt(range_image.depth_variance[valid]) * ray_normal
-    return gradient / (8 * spacing), sigma * np.sqrt(12) / (8 * spacing)
-
-
 def _spikes(
-    range_image: RangeImage,
+    height: NDArray[np.float32],
+    variance: NDArray[np.float32],
     mask: NDArray[np.bool_],
-    centre: NDArray[np.float64],
-    normal: NDArray[np.float64],
     sigmas: float,
 ) -> NDArray[np.bool_]:
     """Pixels that stand off the median of their 5 × 5 neighbourhood by more than it explains."""
-    height = np.where(mask, (range_image.points - centre) @ normal, 0.0)
-    filled = _fill_from_nearest(height, mask).astype(np.float32)
+    weight = mask.astype(np.float32)
+    around = cv2.boxFilter(weight, -1, (5, 5), normalize=False)
+    mean = cv2.boxFilter(height * weight, -1, (5, 5), normalize=False)
+    filled = np.where(mask, height, mean / np.maximum(around, 1))
     off = np.abs(filled - cv2.medianBlur(filled, 5))
-    roughness = 1.4826 * cv2.medianBlur(off, 5)
-    sigma = np.sqrt(np.where(mask, range_image.depth_variance, 0.0))
-    return np.asarray(mask & (off > sigmas * np.hypot(sigma, roughness)))
-
-
-def _fill_from_nearest(
-    values: NDArray[np.float64], valid: NDArray[np.bool_]
-) -> NDArray[np.float64]:
-    _, labels = cv2.distanceTransformWithLabels(
-        (~valid).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    by_label = np.zeros(labels.max() + 1)
-    by_label[labels[valid]] = values[valid]
-    return by_label[labels]
-
-
-def _seed_region(smooth: NDArray[np.bool_], window: float) -> NDArray[np.bool_]:
-    """Seed fill from the centre: the connected region that holds most of the central window."""
-    _, labels = cv2.connectedComponents(smooth.astype(np.uint8), connectivity=4)
-    rows, cols = smooth.shape
-    for share in (window, 0.5, 1.0):
-        half_rows, half_cols = max(1, round(rows * share / 2)), max(1, round(cols * share / 2))
-        central = labels[
-            max(0, rows // 2 - half_rows) : rows // 2 + half_rows + 1,
-            max(0, cols // 2 - half_cols) : cols // 2 + half_cols + 1,
-        ]
-        votes = np.bincount(central.ravel(), minlength=2)
-        votes[0] = 0
-        if votes.max() > 0.05 * central.size or (share == 1.0 and votes.max() > 0):
-            return np.asarray(labels == votes.argmax())
-    raise FittingError(
-        "the canvas is empty: no smooth surface anywhere in the range image; check exposure and "
-        "focus of the scan"
-    )
-
-
-def _erode(mask: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
-    if pixels == 0:
-        return mask
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * pixels + 1, 2 * pixels + 1))
-    # Beyond the picture nothing is known, so its border erodes too.
-    eroded = cv2.erode(
-        mask.astype(np.uint8), disc, borderType=cv2.BORDER_CONSTANT, borderValue=(0,)
-    )
-    return eroded.astype(bool)
+    roughness = np.float32(1.4826) * cv2.medianBlur(off, 5)
+    noise = np.where(mask, variance, np.float32(0)) + roughness * roughness
+    return np.asarray(mask & (off * off > np.float32(sigmas**2) * noise))
 
 
 def _in_plane_axis(

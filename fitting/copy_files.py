@@ -99,6 +99,9 @@ def read_copy(path: Path) -> DigitalCopy:
             float(header["pitch_mm"]),
             (float(header["origin_mm"][0]), float(header["origin_mm"][1])),
             np.array(header["rt_cam_canvas"], dtype=np.float64),
+            # Copies of earlier versions lack these two.
+            _array_or_none(header.get("correlation")),
+            float(header.get("unresolved_mm", 0.0)),
         )
         return DigitalCopy(
             field,
@@ -134,6 +137,8 @@ def _header(copy: DigitalCopy) -> dict[str, Any]:
         "pitch_mm": field.pitch_mm,
         "origin_mm": list(field.origin_mm),
         "rt_cam_canvas": field.rt_cam_canvas.tolist(),
+        "correlation": None if field.correlation is None else field.correlation.tolist(),
+        "unresolved_mm": field.unresolved_mm,
         "delta0_mm": relief.delta0_mm,
         "H_mm": field.height_range_mm[1],
         "cell": relief.cell,
@@ -146,6 +151,10 @@ def _header(copy: DigitalCopy) -> dict[str, Any]:
         "reflectance": copy.reflectance is not None,
         "provenance": copy.provenance,
     }
+
+
+def _array_or_none(values: Any) -> NDArray[np.float64] | None:
+    return None if values is None else np.array(values, dtype=np.float64)
 
 
 def _read_header(path: Path) -> dict[str, Any]:

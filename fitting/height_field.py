@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 
 from fitting.errors import FittingError
 
+# Texels, in either direction, to which a height field's correlation reaches.
+CORRELATION_REACH = 3
+
 
 @dataclass(frozen=True)
 class HeightField:
@@ -35,6 +38,11 @@ class HeightField:
     rt_cam_canvas : (6,) float64 array
         Pose of the canvas in the frame of the camera that scanned it (Rodrigues vector, then
         translation in mm): ``x_cam = R x_canvas + t``.
+    correlation : (7, 7) float64 array or None
+        Correlation of a texel's error with those of its neighbours up to three texels away, as
+        resampling left it; element [3, 3] is the texel itself. None where it is not known.
+    unresolved_mm : float
+        RMS of the part of the standard errors that comes of detail finer than the samples.
 
     Raises
     ------
@@ -49,6 +57,8 @@ class HeightField:
     pitch_mm: float
     origin_mm: tuple[float, float]
     rt_cam_canvas: NDArray[np.float64]
+    correlation: NDArray[np.float64] | None = None
+    unresolved_mm: float = 0.0
 
     def __post_init__(self) -> None:
         if self.height.ndim != 2 or self.height.size == 0:
@@ -57,6 +67,14 @@ class HeightField:
             raise FittingError(
                 f"height {self.height.shape}, mask {self.mask.shape} and variance "
                 f"{self.variance.shape} differ in shape"
+            )
+        side = 2 * CORRELATION_REACH + 1
+        if self.correlation is not None and (
+            self.correlation.shape != (side, side) or not np.isfinite(self.correlation).all()
+        ):
+            raise FittingError(
+                f"the correlation of neighbours is {side} × {side} finite numbers, not "
+                f"{self.correlation.shape}"
             )
         if not (np.isfinite(self.pitch_mm) and self.pitch_mm > 0):
             raise FittingError(f"the pitch must be positive, not {self.pitch_mm} mm")

@@ -14,7 +14,7 @@ from fitting.neighbour_kernels import triangle_normals
 from fitting.range_image import RangeImage, RangeOptions, triangulate
 from fitting.relief_classification import ReliefOptions, classify_relief
 from fitting.resampling import resample_heights
-from fitting.surface_noise import SurfaceNoise, measure_surface_noise
+from fitting.surface_noise import SurfaceNoise, measure_surface_noise, slope_error_ratio
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,6 +77,8 @@ def reconstruct_surface(
     normal_xy, slope_sigma = triangle_normals(
         heights.height, heights.mask, heights.variance, heights.pitch_mm
     )
+    if heights.correlation is not None:
+        slope_sigma = slope_sigma * np.float32(slope_error_ratio(heights.correlation))
     # A texel that belongs to no whole triangle has no normal: it is a gap too.
     lonely = heights.mask & ~np.isfinite(slope_sigma)
     if lonely.any():
