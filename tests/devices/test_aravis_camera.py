@@ -199,13 +199,18 @@ def test_a_frame_sooner_than_its_exposure_is_refused(process):
     opened.close()
 
 
-def test_a_camera_killed_while_a_frame_is_awaited_is_lost(process, camera):
+def test_a_camera_killed_while_a_frame_is_awaited_is_lost(process, camera, monkeypatch):
     camera.capture(0.01)
-    process.freeze()
-    signal.signal(signal.SIGALRM, lambda *_: process.kill())
-    signal.setitimer(signal.ITIMER_REAL, 0.1)
-    deadline = Deadline.after(6)
-    with pytest.raises((DeviceLostError, DeviceTimeoutError)):
+    trigger = camera._trigger
+
+    def trigger_and_kill():
+        # It has acknowledged the trigger, and is gone before it sends the frame.
+        trigger()
+        process.kill()
+
+    monkeypatch.setattr(camera, "_trigger", trigger_and_kill)
+    deadline = Deadline.after(8)
+    with pytest.raises(DeviceLostError, match="no frame arrives: the camera does not answer"):
         camera.capture(0.01, deadline=deadline)
     assert not deadline.passed
     began = time.monotonic()
@@ -213,6 +218,27 @@ def test_a_camera_killed_while_a_frame_is_awaited_is_lost(process, camera):
         camera.capture(0.01)
     camera.close()
     assert time.monotonic() - began < 1
+
+
+def test_a_frame_of_a_killed_camera_is_given_up_at_the_deadline(process, camera, monkeypatch):
+    camera.capture(0.01)
+    trigger = camera._trigger
+    monkeypatch.setattr(camera, "_trigger", lambda: (trigger(), process.kill()))
+    began = time.monotonic()
+    with pytest.raises(DeviceTimeoutError, match="did not deliver its frame in time"):
+        camera.capture(0.01, deadline=Deadline.after(0.4))
+    assert 0.4 <= time.monotonic() - began < 1
+
+
+def test_a_camera_killed_before_it_took_its_exposure_is_lost(process, camera):
+    camera.capture(0.01)
+    process.freeze()
+    signal.signal(signal.SIGALRM, lambda *_: process.kill())
+    signal.setitimer(signal.ITIMER_REAL, 0.1)
+    deadline = Deadline.after(8)
+    with pytest.raises(DeviceLostError, match="the exposure cannot be set"):
+        camera.capture(0.01, deadline=deadline)
+    assert not deadline.passed
 
 
 def test_a_killed_camera_that_is_started_again_is_found_again(process, camera):
