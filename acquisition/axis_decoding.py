@@ -59,6 +59,8 @@ from acquisition.unwrapping import certainty_sigmas
 # Fringes whose frames may be looked at before their turn, to tell the noise of three steps.
 _FRINGES_AHEAD = 4
 _LEAST_UNSATURATED = 0.1
+# Pixels from which medians are taken.
+_FOR_MEDIANS = 8192
 _BAD_LIGHT = np.uint16(Rejection.LOW_MODULATION | Rejection.SATURATED)
 _NO_COORDINATE, _NO_MODULATION = np.empty(0, np.float64), np.empty(0, np.float32)
 
@@ -130,12 +132,16 @@ class FringeDecoder:
     shared: SharedPictures
     noise: SampleNoise | None = None
     _rows: NDArray[np.intp] = field(init=False)
+    _every: int = field(init=False)
     _columns: NDArray[np.intp] = field(init=False)
     _alarm: float = field(init=False)
+    _near: NDArray[np.float32] = field(init=False)  # of one axis after the other
 
     def __post_init__(self) -> None:
         rows, cols = self.stream.shape
+        self._near = np.empty(rows * cols, np.float32)
         self._rows = sample_rows((rows, cols))
+        self._every = max(1, len(self._rows) * cols // _FOR_MEDIANS)
         self._columns = sample_rows((cols, rows))
         redundant = sum(fringe.steps > 3 for group in self.groups for fringe in group)
         unwrapped = len(self.groups) - len({group[0].axis for group in self.groups})
@@ -171,7 +177,8 @@ class FringeDecoder:
         for fringe in (fringe for group in groups for fringe in group):
             _ = fringe.solution  # refuse what cannot be decoded before anything is read
         pixels = len(self.shared.rejection)
-        near = np.full(pixels, (extent - 1) / 2, np.float32)
+        near = self._near
+        near.fill((extent - 1) / 2)
         variance = np.zeros(pixels, np.float32)
         if code is not None and not needs_level(code):
             cell_coordinates(code, read_words(code, self.stream), near)
@@ -243,9 +250,9 @@ class FringeDecoder:
         return frame.reshape(self.stream.shape)[self._rows]
 
     def _thin(self, planes: NDArray[Any]) -> NDArray[Any]:
-        """The sampled rows of pictures (..., pixels), flat."""
+        """The sampled pixels of pictures (..., pixels), flat."""
         pictures = planes.reshape(*planes.shape[:-1], *self.stream.shape)
-        return pictures[..., self._rows, :].reshape(*planes.shape[:-1], -1)
+        return pictures[..., self._rows, :: self._every].reshape(*planes.shape[:-1], -1)
 
     def _sample_model(self) -> SampleModel:
         assert self.noise is not None  # told by the first fringe
@@ -283,9 +290,8 @@ class FringeDecoder:
         if lines.columns is not None:
             correction, harmonics = self._harmonics(fringe, lines)
         sample, freedom = self._sample_model(), fringe.steps - 3
-        sampled = fit_samples(
-            fringe, lines.rows, model_fringe(fringe, correction=correction), sample
-        )
+        few = lines.rows[:, :, :: self._every]
+        sampled = fit_samples(fringe, few, model_fringe(fringe, correction=correction), sample)
         good = (sampled.flags & _BAD_LIGHT) == 0
         squares, modulation = sampled.squares[good], sampled.modulation[good]
         residual = residual_harmonics(

@@ -20,7 +20,13 @@ from acquisition.correspondence import AxisCoordinate, CorrespondenceMap, Reject
 from acquisition.decoding_options import DecodingOptions
 from acquisition.errors import DecodingError
 from acquisition.frame_stream import FrameStream, ReadFrame
-from acquisition.fringe_kernels import UNCERTAIN_ORDER, mask_rejected, settle_uncertain
+from acquisition.fringe_kernels import (
+    PROVISIONAL,
+    UNCERTAIN_ORDER,
+    flag_outside,
+    mask_rejected,
+    settle,
+)
 from acquisition.fringes import exposures_of_fringes, find_fringes
 from acquisition.gray_decoding import GrayCode, decode_gray_alone, find_gray_code
 from acquisition.patterns import Axis
@@ -77,11 +83,7 @@ def decode(
     ambient = shared.ambient
     ambient /= max(1, shared.terms)
     noise = decoder.noise or SampleNoise(QUANTISATION_VARIANCE, 0.0, "quantisation")
-    accepted = 0
-    for decoded in found.values():
-        accepted = mask_rejected(shared.rejection, decoded.coordinate, decoded.variance)
-    accepted = _settle_orders(found, shared.rejection, decoder) if accepted else 0
-    if not accepted:
+    if not _settle_orders(found, shared.rejection, decoder):
         raise DecodingError(_why_nothing(shared.rejection, found, ambient, noise))
     shape = (plan.crop.height, plan.crop.width)
     sample = slice(None, None, max(1, ambient.size // _SAMPLES))
@@ -133,36 +135,47 @@ def _decode_code(code: GrayCode, decoder: FringeDecoder) -> DecodedAxis:
     )
 
 
+def _mask(
+    found: dict[Axis, DecodedAxis], rejection: NDArray[np.uint16], provisional: int
+) -> tuple[int, int]:
+    """Mask rejected pixels in place; how many are left, and how many of those are unsettled."""
+    counts = (0, 0)
+    for decoded in found.values():
+        counts = mask_rejected(rejection, decoded.coordinate, decoded.variance, provisional)
+    return counts
+
+
 def _settle_orders(
     found: dict[Axis, DecodedAxis], rejection: NDArray[np.uint16], decoder: FringeDecoder
 ) -> int:
-    """Hold orders against those of the neighbours, in place; how many pixels are left."""
-    shape = decoder.stream.shape
-    plan = decoder.stream.plan
-    uncertain = rejection & np.uint16(UNCERTAIN_ORDER)
-    wrong = uncertain != 0
-    if decoder.options.check_neighbours:
+    """Hold orders against their neighbours' and mask rejected pixels; how many are left."""
+    accepted, unsettled = _mask(found, rejection, PROVISIONAL)
+    uncertain = rejection & np.uint16(UNCERTAIN_ORDER) if unsettled else None
+    wrong = np.zeros(1, np.bool_) if uncertain is None else uncertain != 0
+    if accepted and decoder.options.check_neighbours:
+        shape, plan = decoder.stream.shape, decoder.stream.plan
+        axes = {
+            axis: UnwrappedAxis(
+                decoded.coordinate.reshape(shape),
+                decoded.variance.reshape(shape),
+                decoded.period_px,
+                _extent(plan, axis),
+            )
+            for axis, decoded in found.items()
+        }
         check = check_orders(
-            {
-                axis: UnwrappedAxis(
-                    decoded.coordinate.reshape(shape),
-                    decoded.variance.reshape(shape),
-                    decoded.period_px,
-                    _extent(plan, axis),
-                )
-                for axis, decoded in found.items()
-            },
-            uncertain=uncertain.reshape(shape),
+            axes, uncertain=None if uncertain is None else uncertain.reshape(shape)
         )
         wrong = check.wrong.reshape(-1)
-        for axis, decoded in found.items():
-            if check.repaired_pixels:
+        if check.repaired_pixels:
+            for axis, decoded in found.items():
                 np.copyto(decoded.coordinate, check.coordinates[axis].reshape(-1))
-    settle_uncertain(rejection, wrong)
-    accepted = 0
-    for decoded in found.values():
-        accepted = mask_rejected(rejection, decoded.coordinate, decoded.variance)
-    return int(accepted)
+    if unsettled or wrong.any():
+        settle(rejection, wrong)
+        for axis, decoded in found.items():
+            flag_outside(decoded.coordinate, _extent(decoder.stream.plan, axis), rejection)
+        accepted, _ = _mask(found, rejection, 0)
+    return accepted
 
 
 def _picture_of(decoded: DecodedAxis, shape: tuple[int, int]) -> AxisCoordinate:

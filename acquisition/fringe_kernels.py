@@ -52,8 +52,8 @@ _SATURATED = int(Rejection.SATURATED)
 _WRONG_ORDER = int(Rejection.WRONG_ORDER)
 # Not a rejection yet: the neighbours have the last word.
 UNCERTAIN_ORDER = 1 << 15
-_REASONS = np.uint16(UNCERTAIN_ORDER - 1)
 _OUT_OF_RANGE = int(Rejection.OUT_OF_RANGE)
+PROVISIONAL = UNCERTAIN_ORDER | _OUT_OF_RANGE
 _MIXED_LIGHT = int(Rejection.MIXED_LIGHT)
 
 
@@ -144,18 +144,17 @@ def _turn(c: np.float32, s: np.float32) -> np.float32:
 def _fold_block(block, m, first, frames, weights, reference):  # type: ignore[no-untyped-def]
     """Add four steps to a block's A, c, s, sum of squares, and largest sample."""
     frame0, frame1, frame2, frame3 = frames
-    for k in range(3):
-        w0, w1, w2, w3 = weights[k, 0], weights[k, 1], weights[k, 2], weights[k, 3]
-        base = _ONE if k == 0 and first else _ZERO
-        for j in range(m):
-            r = _F(reference[j])
-            u0, u1 = _F(frame0[j]) - r, _F(frame1[j]) - r
-            u2, u3 = _F(frame2[j]) - r, _F(frame3[j]) - r
-            block[k, j] += w0 * u0 + w1 * u1 + w2 * u2 + w3 * u3 + base * r
+    a0, a1, a2, a3 = weights[0, 0], weights[0, 1], weights[0, 2], weights[0, 3]
+    c0, c1, c2, c3 = weights[1, 0], weights[1, 1], weights[1, 2], weights[1, 3]
+    s0, s1, s2, s3 = weights[2, 0], weights[2, 1], weights[2, 2], weights[2, 3]
+    base = _ONE if first else _ZERO
     for j in range(m):
         r = _F(reference[j])
         u0, u1 = _F(frame0[j]) - r, _F(frame1[j]) - r
         u2, u3 = _F(frame2[j]) - r, _F(frame3[j]) - r
+        block[_A, j] += a0 * u0 + a1 * u1 + a2 * u2 + a3 * u3 + base * r
+        block[_C, j] += c0 * u0 + c1 * u1 + c2 * u2 + c3 * u3
+        block[_S, j] += s0 * u0 + s1 * u1 + s2 * u2 + s3 * u3
         block[_SQUARES, j] += u0 * u0 + u1 * u1 + u2 * u2 + u3 * u3
         low = u0 if u0 > u1 else u1
         high = u2 if u2 > u3 else u3
@@ -248,9 +247,12 @@ def _unwrap_block(block, m, step, near, variance, rejection):  # type: ignore[no
         spread = np.sqrt(square * block[_VARIANCE, j] + variance[j])
         apart = abs(fine - near[j]) - step.half_width
         # Written so that what is not a number contradicts.
-        wrong = not (apart <= step.sigmas * spread and step.borne_out_sigmas * spread <= step.reach)
+        # The spread follows from a modulation that is itself uncertain by the phase's noise, and
+        # those who pass a limit on it are the overrated: one standard deviation is allowed for.
+        rated = spread * (_ONE + _TWO_PI * np.sqrt(block[_VARIANCE, j]))
+        wrong = not (apart <= step.sigmas * spread and step.borne_out_sigmas * rated <= step.reach)
         flags = _F(_WRONG_ORDER) if wrong else _ZERO
-        flags += _F(UNCERTAIN_ORDER) if step.certain_sigmas * spread > step.reach else _ZERO
+        flags += _F(UNCERTAIN_ORDER) if step.certain_sigmas * rated > step.reach else _ZERO
         flags += _F(_MIXED_LIGHT) if apart > step.mixed_sigmas * spread else _ZERO
         block[_MISFIT, j] = flags
     for j in range(m):
@@ -261,12 +263,14 @@ def _unwrap_block(block, m, step, near, variance, rejection):  # type: ignore[no
 @njit(fastmath=_FAST, error_model="numpy")
 def _begin_block(sums, start, m):  # type: ignore[no-untyped-def]
     """Working array of a block, with the sums so far (none: ``sums`` of no columns)."""
-    block = np.zeros((_WORKING_ROWS, _BLOCK), np.float32)
+    block = np.empty((_WORKING_ROWS, _BLOCK), np.float32)
     if sums.shape[1]:
         for k in range(SUMS):
             kept = sums[k, start : start + m]
             for j in range(m):
                 block[k, j] = kept[j]
+    else:
+        block[:SUMS] = _ZERO
     return block
 
 
@@ -468,29 +472,46 @@ def subtract_series(near, period, origin_turns, series):  # type: ignore[no-unty
 
 
 @njit(parallel=True, cache=True)
-def mask_rejected(rejection, coordinate, variance):  # type: ignore[no-untyped-def]
+def mask_rejected(rejection, coordinate, variance, provisional):  # type: ignore[no-untyped-def]
     """Where a pixel is rejected, set its coordinate to NaN and its variance to infinity.
 
-    An uncertain order is no rejection.
+    Parameters
+    ----------
+    rejection : (pixels,) uint16 array
+    coordinate, variance : (pixels,) arrays
+        Changed in place.
+    provisional : int
+        Bits that are no reason yet.
 
     Returns
     -------
-    int
-        Pixels that are not rejected.
+    int, int
+        Pixels that are not rejected, and those with a provisional bit among them.
     """
-    accepted = 0
+    accepted, unsettled = 0, 0
+    settled = np.uint16(~provisional & 0xFFFF)
     for j in prange(rejection.size):
-        if rejection[j] & _REASONS:
+        if rejection[j] & settled:
             coordinate[j] = np.nan
             variance[j] = np.inf
         else:
             accepted += 1
-    return accepted
+            unsettled += 1 if rejection[j] else 0
+    return accepted, unsettled
 
 
 @njit(parallel=True, cache=True)
-def settle_uncertain(rejection, wrong):  # type: ignore[no-untyped-def]
-    """Take back the uncertainty of every order, and reject those that are ``wrong``, in place."""
+def settle(rejection, wrong):  # type: ignore[no-untyped-def]
+    """Clear the provisional bits in place, and reject the orders that are ``wrong`` (pixels,)."""
+    settled = np.uint16(~PROVISIONAL & 0xFFFF)
     for j in prange(rejection.size):
-        bits = rejection[j] & _REASONS
+        bits = rejection[j] & settled
         rejection[j] = bits | np.uint16(_WRONG_ORDER) if wrong[j] else bits
+
+
+@njit(parallel=True, cache=True)
+def flag_outside(coordinate, extent, rejection):  # type: ignore[no-untyped-def]
+    """Add the rejection's bit where a coordinate lies off a panel of ``extent`` pixels."""
+    for j in prange(rejection.size):
+        if coordinate[j] < -0.5 or coordinate[j] > extent - 0.5:
+            rejection[j] |= np.uint16(_OUT_OF_RANGE)

@@ -56,6 +56,11 @@ def _squares_limit(shifts: tuple[float, ...], false_alarm: float) -> float:
     return _NOISE_MARGIN * largest
 
 
+@lru_cache(maxsize=64)
+def _median_of_chi_square(degrees_of_freedom: int) -> float:
+    return float(stats.chi2.median(degrees_of_freedom))
+
+
 def residual_harmonics(
     squares: NDArray[np.floating],
     modulation: NDArray[np.floating],
@@ -80,7 +85,7 @@ def residual_harmonics(
     """
     if degrees_of_freedom < 1 or len(squares) < _LEAST_PIXELS:
         return float(np.sqrt(_ROUNDING))
-    excess = squares - stats.chi2.median(degrees_of_freedom) * noise_variance
+    excess = squares - _median_of_chi_square(degrees_of_freedom) * noise_variance
     typical = max(0.0, float(np.median(excess / modulation**2)))
     return float(np.sqrt(2 * typical + _ROUNDING))
 

@@ -8,6 +8,7 @@ linear in (A, c, s), so that least squares gives all three for any three or more
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,13 +50,13 @@ class Fringe:
         """Number of steps."""
         return len(self.shifts_rad)
 
-    @property
+    @cached_property
     def design(self) -> NDArray[np.float64]:
         """(steps, 3) array that takes (A, c, s) to the samples."""
         shifts = self.shifts_rad
         return np.stack([np.ones_like(shifts), np.cos(shifts), -np.sin(shifts)], axis=1)
 
-    @property
+    @cached_property
     def solution(self) -> NDArray[np.float64]:
         """(3, steps) pseudo-inverse that takes the samples to (A, c, s).
 
@@ -72,7 +73,7 @@ class Fringe:
             )
         return np.ascontiguousarray(np.linalg.pinv(self.design))
 
-    @property
+    @cached_property
     def step_weights(self) -> NDArray[np.float32]:
         """(groups, 3, 4) float32 array: the solution in groups of four steps, filled with zeros."""
         solution = self.solution
@@ -82,7 +83,7 @@ class Fringe:
         grouped = padded.reshape(3, groups, STEPS_AT_ONCE).transpose(1, 0, 2)
         return np.ascontiguousarray(grouped, np.float32)
 
-    @property
+    @cached_property
     def variance_moments(self) -> NDArray[np.float32]:
         r"""(3, 3) float32 array by which the phase's variance follows from the fit.
 
@@ -95,7 +96,7 @@ class Fringe:
         moments = self.design.T @ products.T
         return np.ascontiguousarray(moments / (2 * np.pi) ** 2, np.float32)
 
-    @property
+    @cached_property
     def gram(self) -> NDArray[np.float32]:
         """(3, 3) float32 array: the quadratic form of (A, c, s) that the samples' squares hold."""
         return np.ascontiguousarray(self.design.T @ self.design, np.float32)

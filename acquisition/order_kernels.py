@@ -145,6 +145,20 @@ def _compare(x, y, variance_x, variance_y, here, there, apart, periods, slopes, 
     return goes_on
 
 
+@njit(inline="always")
+def _next_along(r, c, step_down, rows, cols, along, labels):  # type: ignore[no-untyped-def]
+    """Next pixel with a coordinate to the right or below, not far off, and its run's label."""
+    nr, nc = r, c
+    for _ in range(_REACH + 1):
+        nr, nc = nr + step_down, nc + 1 - step_down
+        if nr >= rows or nc >= cols:
+            return nr, nc, -1
+        there = labels[nr, nc] if along[nr] else 0
+        if there >= 0:
+            return nr, nc, there
+    return nr, nc, -1
+
+
 @njit(cache=True)
 def list_jumps(  # type: ignore[no-untyped-def]
     x, y, variance_x, variance_y, periods, slopes, along, down, labels, first_run, component
@@ -165,48 +179,33 @@ def list_jumps(  # type: ignore[no-untyped-def]
         the phase goes on across the jump.
     """
     rows, cols = x.shape
-    capacity, count = 1024, 0
-    found = np.empty((capacity, 5), np.int64)
+    found, count = np.empty((1024, 5), np.int64), 0
     jump = np.zeros(2, np.int64)
     for r in range(rows):
-        quiet = not along[r]
-        for c in range(cols):
-            here = labels[r, c] if along[r] else 0
-            if here < 0:
+        for step_down in range(2):
+            if not (down[r] if step_down else along[r]) or r + step_down == rows:
                 continue
-            a = component[first_run[r] + here]
-            for direction in range(2):
-                if quiet if direction == 0 else not (down[r] and r + 1 < rows):
+            for c in range(cols):
+                here = labels[r, c] if along[r] else 0
+                if here < 0:
                     continue
-                for apart in range(1, _REACH + 2):
-                    nr, nc = (r, c + apart) if direction == 0 else (r + apart, c)
-                    if nr >= rows or nc >= cols:
-                        break
-                    there = labels[nr, nc] if along[nr] else 0
-                    if there < 0:
-                        continue
-                    b = component[first_run[nr] + there]
-                    if a != b:
-                        if count == capacity:
-                            capacity *= 2
-                            more = np.empty((capacity, 5), np.int64)
-                            more[:count] = found
-                            found = more
-                        on = _compare(
-                            x,
-                            y,
-                            variance_x,
-                            variance_y,
-                            (r, c),
-                            (nr, nc),
-                            apart,
-                            periods,
-                            slopes,
-                            jump,
-                        )
-                        found[count] = (a, b, jump[0], jump[1], 1 if on else 0)
-                        count += 1
-                    break
+                nr, nc, there = _next_along(r, c, step_down, rows, cols, along, labels)
+                if there < 0 or (not step_down and there == here):
+                    continue
+                a, b = component[first_run[r] + here], component[first_run[nr] + there]
+                if a == b:
+                    continue
+                if count == len(found):
+                    more = np.empty((2 * count, 5), np.int64)
+                    more[:count] = found
+                    found = more
+                apart = nr - r + nc - c
+                on = _compare(
+                    x, y, variance_x, variance_y, (r, c), (nr, nc), apart, periods, slopes, jump
+                )
+                found[count, 0], found[count, 1] = a, b
+                found[count, 2], found[count, 3], found[count, 4] = jump[0], jump[1], on
+                count += 1
     return found[:count]
 
 

@@ -38,7 +38,7 @@ _SLOPE_ALLOWANCE = 4.0
 # Pixels of a component that counts towards a systematic contradiction.
 _SUBSTANTIAL_PIXELS = 30
 _SUBSTANTIAL_SHARE = 1e-3
-_SAMPLED_ROWS = 64
+_SAMPLED_LINES = 64
 
 
 @dataclass(frozen=True)
@@ -190,11 +190,15 @@ def check_orders(
 
 def _usual_slope(coordinate: NDArray[np.float64]) -> float:
     """How much a coordinate may change from a pixel to the next without being a jump."""
-    rows = coordinate[:: max(1, len(coordinate) // _SAMPLED_ROWS)]
-    columns = coordinate[:, :: max(1, coordinate.shape[1] // _SAMPLED_ROWS)]
+    rows, columns = (len(lines) // _SAMPLED_LINES + 1 for lines in (coordinate, coordinate.T))
+    pairs = (
+        (coordinate[::rows, 1::columns], coordinate[::rows, :-1:columns]),
+        (coordinate[1::rows, ::columns], coordinate[:-1:rows, ::columns]),
+    )
     medians = []
-    for steps in (np.diff(rows, axis=1), np.diff(columns, axis=0)):
-        there = np.abs(steps[np.isfinite(steps)])
+    for after, before in pairs:
+        steps = np.abs(after - before)
+        there = steps[np.isfinite(steps)]
         medians.append(float(np.median(there)) if len(there) else 0.0)
     return _SLOPE_ALLOWANCE * max(medians)
 
