@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from devices.child_process import call_all
 from devices.drivers import DeviceKind
+from devices.errors import DeviceError
 from devices.interfaces import Camera, CameraMount, LightArm, Projector
 from devices.rig import Rig
 from devices.rig_file import RigFile
@@ -64,25 +65,45 @@ def probe(
     Probe
         One per device, in the order in which a rig opens them.
     """
+    simulated = tuple(kind for kind in rig_file.devices if rig_file.is_simulated(kind))
+    done: dict[DeviceKind, Probe] = {}
     for kind in DeviceKind:
-        settings = rig_file.devices.get(kind)
-        if settings is None:
+        if kind not in rig_file.devices:
             continue
         begin(kind.value)
-        driver: str = settings.driver  # type: ignore[attr-defined]
-        calls = {kind.value: (_probe_device, (rig_file, kind))}
-        for answer in call_all(calls, limit_s=limit_s):
-            if answer.error is not None:
-                yield Probe(kind, driver, problem=str(answer.error))
-            else:
-                model, detail = answer.value
-                yield Probe(kind, driver, model, detail)
+        if kind not in done:
+            # Simulated devices share their scene, which takes its time to be made.
+            together = simulated if kind in simulated else (kind,)
+            done |= _probe_together(rig_file, together, limit_s)
+        yield done[kind]
 
 
-def _probe_device(rig_file: RigFile, kind: DeviceKind) -> tuple[str, str]:
-    """Model of a device, and what it can do."""
-    with rig_file.open(only=frozenset({kind})) as rig:
-        return _PROBES[kind](rig)
+def _probe_together(
+    rig_file: RigFile, kinds: tuple[DeviceKind, ...], limit_s: float
+) -> dict[DeviceKind, Probe]:
+    """Probe some devices in a process of their own."""
+    (answer,) = call_all({"probe": (_probe_devices, (rig_file, kinds))}, limit_s=limit_s)
+    if answer.error is None:
+        return {probed.kind: probed for probed in answer.value}
+    problem = str(answer.error)
+    return {kind: Probe(kind, _driver_of(rig_file, kind), problem=problem) for kind in kinds}
+
+
+def _probe_devices(rig_file: RigFile, kinds: tuple[DeviceKind, ...]) -> list[Probe]:
+    probes = []
+    with rig_file.open(only=frozenset(kinds)) as rig:
+        for kind in kinds:
+            driver = _driver_of(rig_file, kind)
+            try:
+                probes.append(Probe(kind, driver, *_PROBES[kind](rig)))
+            except DeviceError as error:
+                probes.append(Probe(kind, driver, problem=str(error)))
+    return probes
+
+
+def _driver_of(rig_file: RigFile, kind: DeviceKind) -> str:
+    name: str = rig_file.devices[kind].driver  # type: ignore[attr-defined]
+    return name
 
 
 def _probe_camera(rig: Rig) -> tuple[str, str]:

@@ -22,7 +22,7 @@ from fitting.copy_files import read_copy, write_copy
 
 IMPASTO = Path(sys.executable).parent / "impasto"
 CAPTURES = Path(__file__).parents[2] / "fixtures" / "captures"
-COMMANDS = ("bench", "demo", "import", "process", "render")
+COMMANDS = ("bench", "demo", "devices", "import", "process", "render", "replay")
 
 
 def impasto(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
