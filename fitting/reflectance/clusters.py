@@ -148,11 +148,7 @@ def assign_materials(
         return np.zeros(samples.texels, np.int32)
     costs = np.zeros((samples.texels, number))
     cost_under_materials(
-        samples.view,
-        samples.light,
-        samples.radiance,
-        samples.variance,
-        samples.weight,
+        samples.arrays,
         max(material.misfit_floor for material in palette.materials),
         max(material.misfit_relative for material in palette.materials),
         material_table(list(palette.materials)),

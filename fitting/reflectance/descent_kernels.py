@@ -29,6 +29,8 @@ Floats = NDArray[np.float64]
 
 
 _LONGEST_STEP = 1.5  # in ln k, ln r, ln c
+_NEAR_K = 0.1
+_NEAR_RATIO = 0.02
 
 
 class LobePrior(NamedTuple):
@@ -110,6 +112,11 @@ def project_slopes(space: Workspace, rho: Floats, specular_precision: Floats, fr
         a_ss = sums[c, 2] + specular_precision[c]
         det = a_dd * a_ss - a_ds * a_ds
         both = rho_d > 0.0 and det > 1e-13 * a_dd * a_ss
+        squared = rho_s * rho_s
+        # Projection onto the columns that are not held at zero.
+        p_dd = a_ss / det if both else 0.0
+        p_ds = a_ds / det if both else 0.0
+        p_ss = a_dd / det if both else 1.0 / a_ss
         for p in range(free):
             d_p = by_column[c, p, 0]
             s_p = by_column[c, p, 1]
@@ -117,13 +124,8 @@ def project_slopes(space: Workspace, rho: Floats, specular_precision: Floats, fr
             for q in range(p + 1):
                 d_q = by_column[c, q, 0]
                 s_q = by_column[c, q, 1]
-                if both:
-                    shared = (
-                        d_p * (a_ss * d_q - a_ds * s_q) + s_p * (a_dd * s_q - a_ds * d_q)
-                    ) / det
-                else:
-                    shared = s_p * s_q / a_ss
-                hessian[p, q] += rho_s * rho_s * (space.by_slope[c, p, q] - shared)
+                shared = d_p * (p_dd * d_q - p_ds * s_q) + s_p * (p_ss * s_q - p_ds * d_q)
+                hessian[p, q] += squared * (space.by_slope[c, p, q] - shared)
 
 
 @njit(cache=True, error_model="numpy")
@@ -193,11 +195,22 @@ def linearise(space: Workspace, n: int, theta: Floats, rho: Floats, prior: LobeP
 
 
 @njit(cache=True, error_model="numpy")
+def joins(theta: Floats, known: Floats, free: int) -> bool:
+    """Whether a descent has come so near a known minimum that it can only end there."""
+    near = True
+    for p in range(free):
+        near = near and abs(theta[p] - known[p]) < (_NEAR_K if p == 0 else _NEAR_RATIO)
+    return near
+
+
+@njit(cache=True, error_model="numpy")
 def descend(
     space: Workspace,
     n: int,
     theta: Floats,
     rho: Floats,
+    known_theta: Floats,
+    known_cost: float,
     bounds: Floats,
     prior: LobePrior,
     huber_limit: float,
@@ -207,7 +220,7 @@ def descend(
     """Move ``theta`` and ``rho`` to a local minimum.
 
     Returns twice the cost (priors included), the iterations, and whether the limit of iterations
-    was not met first.
+    was not met first. A descent that arrives at a minimum that is known already ends there.
     """
     free = prior.free
     trial = np.empty(PARAMETERS)
@@ -224,14 +237,19 @@ def descend(
     level = np.inf
     iterations = 0
     moved = True
+    plain = False
     while True:
         if moved:
-            new_cost = huber_weights(
+            was_plain = plain
+            new_cost, plain = huber_weights(
                 space.rows, space.lobe, rho, n, huber_limit, space.weight, space.target
             )
             new_cost += prior_cost(theta, prior) + specular_prior_cost(rho, prior)
-            sum_columns(space.weight, space.target, space.lobe, n, space.sums)
-            level = prior_cost(theta, prior) - solve_columns(space.sums, prior, rho)
+            if not (plain and was_plain):
+                sum_columns(space.weight, space.target, space.lobe, n, space.sums)
+                level = prior_cost(theta, prior) - solve_columns(space.sums, prior, rho)
+            if new_cost >= known_cost and joins(theta, known_theta, free):
+                return new_cost, iterations, True
             linearise(space, n, theta, rho, prior)
             for p in range(free):
                 for q in range(p + 1):
@@ -269,6 +287,8 @@ def descend(
         if trial_level <= level:
             theta[:] = trial
             rho[:] = trial_rho
+            space.sums[:] = trial_sums
+            level = trial_level
             damping = max(0.1 * damping, 1e-6)
             moved = True
         else:

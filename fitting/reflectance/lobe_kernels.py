@@ -91,22 +91,29 @@ def evaluate_lobe(axes: Floats, n: int, theta: Floats, lobe: Floats, slopes: Flo
     r = math.exp(theta[1])
     c = math.exp(theta[2])
     ln_r = theta[1]
+    # Several short loops: the compiler turns a loop into vector instructions only if it can tell
+    # at little cost that the arrays in it do not overlap.
     for i in range(n):
-        across = c * axes[1, i]
-        along = r * axes[2, i]
-        d = axes[0, i] + across + along
-        lit = d > _SMALLEST_BASE
-        d = d if lit else _SMALLEST_BASE
-        exponent = k * (vector_log(d) - ln_r)
-        inside = abs(exponent) < _LARGEST_EXPONENT
+        d = axes[0, i] + c * axes[1, i] + r * axes[2, i]
+        lobe[i] = d if d > _SMALLEST_BASE else _SMALLEST_BASE
+    for i in range(n):
+        slopes[0, i] = k * (vector_log(lobe[i]) - ln_r)
+    for i in range(n):
+        exponent = slopes[0, i]
         held = min(max(exponent, -_LARGEST_EXPONENT), _LARGEST_EXPONENT)
-        b = vector_exp(held) if lit else 0.0
-        rise = b if inside else 0.0
-        by_base = rise * k / d
+        slopes[1, i] = vector_exp(held) if lobe[i] > _SMALLEST_BASE else 0.0
+    for i in range(n):
+        # Beyond the range of exponents the lobe is held, and does not change.
+        rise = slopes[1, i] if abs(slopes[0, i]) < _LARGEST_EXPONENT else 0.0
+        slopes[2, i] = rise * k / lobe[i]
+        slopes[0, i] *= rise
+    for i in range(n):
+        by_base = slopes[2, i]
+        b = slopes[1, i]
+        slopes[1, i] = by_base * (r * axes[2, i] - lobe[i])
         lobe[i] = b
-        slopes[0, i] = rise * exponent
-        slopes[1, i] = by_base * along - rise * k
-        slopes[2, i] = by_base * across
+    for i in range(n):
+        slopes[2, i] *= c * axes[1, i]
 
 
 @njit(cache=True, fastmath=_SUMS, error_model="numpy")
@@ -114,25 +121,45 @@ def sum_columns(weight: Floats, target: Floats, lobe: Floats, n: int, sums: Floa
     """Per channel: Σw, Σwb, Σwb², Σt, Σtb."""
     for c in range(CHANNELS):
         w_1 = 0.0
-        w_b = 0.0
-        w_bb = 0.0
         t_1 = 0.0
-        t_b = 0.0
         for i in range(n):
-            b = lobe[i]
-            w = weight[c, i]
-            t = target[c, i]
-            wb = w * b
-            w_1 += w
-            w_b += wb
-            w_bb += wb * b
-            t_1 += t
-            t_b += t * b
+            w_1 += weight[c, i]
+            t_1 += target[c, i]
         sums[c, 0] = w_1
-        sums[c, 1] = w_b
-        sums[c, 2] = w_bb
         sums[c, 3] = t_1
-        sums[c, 4] = t_b
+    sum_lobe(weight, target, lobe, n, sums)
+
+
+@njit(cache=True, fastmath=_SUMS, error_model="numpy")
+def sum_lobe(weight: Floats, target: Floats, lobe: Floats, n: int, sums: Floats) -> None:
+    """The sums of :func:`sum_columns` that depend on the lobe: Σwb, Σwb², Σtb."""
+    # All channels in one pass: their sums do not wait for one another.
+    w_b0 = w_b1 = w_b2 = 0.0
+    w_bb0 = w_bb1 = w_bb2 = 0.0
+    t_b0 = t_b1 = t_b2 = 0.0
+    for i in range(n):
+        b = lobe[i]
+        wb0 = weight[0, i] * b
+        wb1 = weight[1, i] * b
+        wb2 = weight[2, i] * b
+        w_b0 += wb0
+        w_b1 += wb1
+        w_b2 += wb2
+        w_bb0 += wb0 * b
+        w_bb1 += wb1 * b
+        w_bb2 += wb2 * b
+        t_b0 += target[0, i] * b
+        t_b1 += target[1, i] * b
+        t_b2 += target[2, i] * b
+    sums[0, 1] = w_b0
+    sums[1, 1] = w_b1
+    sums[2, 1] = w_b2
+    sums[0, 2] = w_bb0
+    sums[1, 2] = w_bb1
+    sums[2, 2] = w_bb2
+    sums[0, 4] = t_b0
+    sums[1, 4] = t_b1
+    sums[2, 4] = t_b2
 
 
 @njit(cache=True, fastmath=_SUMS, error_model="numpy")
@@ -153,6 +180,8 @@ def sum_slopes(
             wb_s = 0.0
             t_s = 0.0
             w_ss = 0.0
+            w_s0 = 0.0
+            w_s1 = 0.0
             for i in range(n):
                 s = slopes[p, i]
                 ws = weight[c, i] * s
@@ -160,15 +189,16 @@ def sum_slopes(
                 wb_s += ws * lobe[i]
                 t_s += target[c, i] * s
                 w_ss += ws * s
+                w_s0 += ws * slopes[0, i]
+                w_s1 += ws * slopes[1, i]
             by_column[c, p, 0] = w_s
             by_column[c, p, 1] = wb_s
             by_column[c, p, 2] = t_s
+            if p > 0:
+                by_slope[c, p, 0] = w_s0
+            if p > 1:
+                by_slope[c, p, 1] = w_s1
             by_slope[c, p, p] = w_ss
-            for q in range(p):
-                w_ss = 0.0
-                for i in range(n):
-                    w_ss += weight[c, i] * slopes[p, i] * slopes[q, i]
-                by_slope[c, p, q] = w_ss
 
 
 @njit(cache=True, error_model="numpy")
@@ -201,11 +231,28 @@ def huber_weights(
     limit: float,
     weight: Floats,
     target: Floats,
-) -> float:
-    """Reweight all samples by Huber's rule at the present fit; return twice Huber's cost.
+) -> tuple[float, bool]:
+    """Reweight all samples by Huber's rule at the present fit.
+
+    Returns twice Huber's cost, and whether all samples are within the limit.
 
     ``rows[0..2]`` is cos θ √w / σ and ``rows[3..5]`` is y √w / σ per channel.
     """
+    cost = 0.0
+    largest = 0.0
+    for c in range(CHANNELS):
+        rho_d = rho[0, c]
+        rho_s = rho[1, c]
+        for i in range(n):
+            g = rows[c, i]
+            y = rows[CHANNELS + c, i]
+            residual = y - g * (rho_d + rho_s * lobe[i])
+            cost += residual * residual
+            largest = max(largest, abs(residual))
+            weight[c, i] = g * g
+            target[c, i] = g * y
+    if largest <= limit:
+        return cost, True
     cost = 0.0
     for c in range(CHANNELS):
         rho_d = rho[0, c]
@@ -217,6 +264,6 @@ def huber_weights(
             near = residual <= limit
             u = 1.0 if near else limit / residual
             cost += residual * residual if near else limit * (2.0 * residual - limit)
-            weight[c, i] = u * g * g
-            target[c, i] = u * g * y
-    return cost
+            weight[c, i] *= u
+            target[c, i] *= u
+    return cost, False

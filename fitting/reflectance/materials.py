@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.errors import FittingError
+from fitting.reflectance.batch_kernels import MaterialTable
 from fitting.reflectance.lobe import LobeVariant
-from fitting.reflectance.solver_kernels import MaterialTable
 
 Floats = NDArray[np.float64]
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fitting.errors import FittingError
+from fitting.reflectance.texel_kernels import SampleArrays
 
 Singles = NDArray[np.float32]
 DEFAULT_GRAZING_LIMIT = math.radians(75.0)
@@ -70,6 +71,11 @@ class RadianceSamples:
     def texels(self) -> int:
         """Number of texels."""
         return int(self.weight.shape[0])
+
+    @property
+    def arrays(self) -> SampleArrays:
+        """The arrays as the compiled kernels take them."""
+        return SampleArrays(self.view, self.light, self.radiance, self.variance, self.weight)
 
     @property
     def valid(self) -> NDArray[np.bool_]:

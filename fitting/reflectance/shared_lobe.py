@@ -71,11 +71,7 @@ class PooledProblem:
         shape = np.zeros(3)
         shape[: len(free_shape)] = free_shape
         fit_shared_lobe(
-            self.samples.view,
-            self.samples.light,
-            self.samples.radiance,
-            self.samples.variance,
-            self.samples.weight,
+            self.samples.arrays,
             *self.misfit,
             shape,
             int(self.variant),

@@ -15,17 +15,19 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
 from fitting.errors import FittingError
+from fitting.reflectance.batch_kernels import FitArrays, fit_batch
 from fitting.reflectance.flags import TexelFlag
 from fitting.reflectance.lobe import LafortuneLobes
 from fitting.reflectance.materials import Material, material_table, shape_bounds
 from fitting.reflectance.samples import RadianceSamples
-from fitting.reflectance.solver_kernels import SolverSettings, fit_batch
 from fitting.reflectance.start_kernels import EXPONENT_OCTAVES
+from fitting.reflectance.texel_kernels import SolverSettings
 
 Floats = NDArray[np.float64]
 # Weights of χ² with 0, 1, 2 and 3 degrees of freedom where three independent amplitudes that are
 # zero in truth are estimated as non-negative (Kudô 1963; Shapiro 1985).
 _CHI_BAR_WEIGHTS = (1 / 8, 3 / 8, 3 / 8, 1 / 8)
+_WEAK = 5.0  # a highlight below this many thresholds of detection is weak
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,8 +40,13 @@ class SolverOptions:
         Descents per texel: the best minima of a grid over (k, r), and the material's lobe.
     start_ratios : tuple of float
         r of the grid, times the material's.
+    weak_starts, weak_start_ratios : int and tuple of float
+        The same for highlights that hardly stand out, whose cost has many shallow minima.
     huber_limit : float
         Standardised residual beyond which the loss grows linearly; infinite for least squares.
+    skip_diffuse : bool
+        Whether texels without a significant highlight are left diffuse; otherwise every texel gets
+        the lobe of least cost, if only to noise.
     false_alarm_rate : float
         Share of diffuse texels in which a highlight is seen, at most.
     power : float
@@ -53,16 +60,22 @@ class SolverOptions:
 
     starts: int = 2
     start_ratios: tuple[float, ...] = (0.86, 1.0, 1.16)
+    weak_starts: int = 6
+    weak_start_ratios: tuple[float, ...] = (0.8, 0.9, 1.0, 1.1, 1.25)
     huber_limit: float = 3.0
+    skip_diffuse: bool = True
     false_alarm_rate: float = 1e-3
     power: float = 2.0
     tolerance: float = 1e-5
     max_iterations: int = 40
 
     def __post_init__(self) -> None:
-        if self.starts < 1 or not self.start_ratios or self.max_iterations < 1:
+        ratios = (*self.start_ratios, *self.weak_start_ratios)
+        if min(self.starts, self.weak_starts, self.max_iterations) < 1 or not (
+            self.start_ratios and self.weak_start_ratios
+        ):
             raise FittingError("at least one start, one ratio and one iteration are needed")
-        if not (self.huber_limit > 0.0 and self.tolerance > 0.0 and min(self.start_ratios) > 0.0):
+        if not (self.huber_limit > 0.0 and self.tolerance > 0.0 and min(ratios) > 0.0):
             raise FittingError("Huber's limit, the tolerance and the start ratios must be positive")
         if not 0.0 < self.false_alarm_rate < 1.0:
             raise FittingError(f"false alarm rate is {self.false_alarm_rate}: between 0 and 1")
@@ -135,11 +148,16 @@ def solver_settings(options: SolverOptions) -> SolverSettings:
     """What the compiled kernels are told."""
     lobes_tried = EXPONENT_OCTAVES * len(options.start_ratios) + 1
     threshold = highlight_threshold(options.false_alarm_rate, lobes_tried)
+    needed = threshold if options.skip_diffuse else -np.inf
     return SolverSettings(
         shape_bounds(),
+        int(options.starts),
         np.log(np.array(options.start_ratios, dtype=np.float64)),
+        int(options.weak_starts),
+        np.log(np.array(options.weak_start_ratios, dtype=np.float64)),
         float(options.huber_limit),
-        threshold,
+        needed,
+        _WEAK * threshold,
         float((np.sqrt(threshold) + options.power) ** 2),
         float(options.tolerance),
         int(options.max_iterations),
@@ -182,30 +200,17 @@ def fit_texels(
         raise FittingError(
             f"materials of {n} texels must be {n} numbers from 0 to {len(known) - 1}"
         )
-    shape = np.zeros((n, 3))
-    rho = np.zeros((n, 2, 3))
-    covariance = np.zeros((n, 9, 9), np.float32)
-    cost = np.zeros(n)
-    counts = np.zeros(n, np.int32)
-    iterations = np.zeros(n, np.int32)
-    flags = np.zeros(n, np.int32)
-    fit_batch(
-        samples.view,
-        samples.light,
-        samples.radiance,
-        samples.variance,
-        samples.weight,
-        which,
-        table,
-        solver_settings(options),
-        options.starts,
-        shape,
-        rho,
-        covariance,
-        cost,
-        counts,
-        iterations,
-        flags,
+    fits = FitArrays(
+        np.zeros((n, 3)),
+        np.zeros((n, 2, 3)),
+        np.zeros((n, 9, 9), np.float32),
+        np.zeros(n),
+        np.zeros(n, np.int32),
+        np.zeros(n, np.int32),
+        np.zeros(n, np.int32),
     )
-    lobes = LafortuneLobes(shape, rho[:, 0].copy(), rho[:, 1].copy())
-    return TexelFits(lobes, covariance, cost, counts, iterations, flags, which)
+    fit_batch(samples.arrays, which, table, solver_settings(options), fits)
+    lobes = LafortuneLobes(fits.shape, fits.rho[:, 0].copy(), fits.rho[:, 1].copy())
+    return TexelFits(
+        lobes, fits.covariance, fits.cost, fits.samples, fits.iterations, fits.flags, which
+    )

@@ -13,7 +13,13 @@ from numba import njit
 from numpy.typing import NDArray
 
 from fitting.reflectance.descent_kernels import LobePrior, prior_cost
-from fitting.reflectance.lobe_kernels import CHANNELS, Workspace, solve_channel, sum_columns
+from fitting.reflectance.lobe_kernels import (
+    CHANNELS,
+    Workspace,
+    solve_channel,
+    sum_columns,
+    sum_lobe,
+)
 
 Floats = NDArray[np.float64]
 EXPONENT_OCTAVES = 12  # k = 1, 2, 4 … 2048
@@ -72,6 +78,8 @@ def search_starts(
     cost = np.empty(EXPONENT_OCTAVES)
     theta = prior.mean.copy()
     most = 0.0
+    sum_columns(space.weight, space.target, space.lobe, n, space.sums)
+    without = diffuse_gain(space.sums)
     for m in range(len(ln_ratios)):
         if prior.free < 2 and m > 0:
             break
@@ -80,9 +88,9 @@ def search_starts(
         for j in range(EXPONENT_OCTAVES):
             if j > 0:
                 square_lobe(space.lobe, n)
-            sum_columns(space.weight, space.target, space.lobe, n, space.sums)
+            sum_lobe(space.weight, space.target, space.lobe, n, space.sums)
             gain = gain_of(space.sums)
-            most = max(most, gain - diffuse_gain(space.sums))
+            most = max(most, gain - without)
             theta[0] = j * math.log(2.0)
             cost[j] = prior_cost(theta, prior) - gain
             if theta[0] < bounds[0, 0] or theta[0] > bounds[0, 1]:

@@ -1,8 +1,7 @@
-"""Compiled fit of a batch of texels, shared out between the cores.
+"""Compiled fit of one texel.
 
-Per texel: gather valid samples, test for a highlight, search starts, descend, take the best,
-propagate its covariance. Nothing here raises: a texel that cannot be fitted carries a flag
-(:mod:`fitting.reflectance.flags`), and its neighbours are fitted all the same.
+Gather valid samples, test for a highlight, search starts, descend, take the best. Nothing here
+raises: a texel that cannot be fitted carries a flag (:mod:`fitting.reflectance.flags`).
 """
 
 from __future__ import annotations
@@ -11,10 +10,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
-from fitting.reflectance.covariance_kernels import ALL, propagate_covariance
 from fitting.reflectance.descent_kernels import (
     LobePrior,
     descend,
@@ -28,7 +26,6 @@ from fitting.reflectance.lobe_kernels import (
     Workspace,
     evaluate_lobe,
     huber_weights,
-    make_workspace,
     sum_columns,
 )
 from fitting.reflectance.start_kernels import diffuse_gain, gain_of, search_starts
@@ -48,29 +45,25 @@ NOT_FINITE = int(TexelFlag.NOT_FINITE)
 
 _CHUNK = 64
 _REWEIGHTINGS = 8
+_CLOSELY = 1e-4
+_ROUGHLY = 1e-2
 _HARDLY_NARROWED = 0.7  # variance of ln k over the prior's
 
 
-class MaterialTable(NamedTuple):
-    """One row per material; see :class:`fitting.reflectance.priors.Material`.
+class SampleArrays(NamedTuple):
+    """The arrays of :class:`fitting.reflectance.samples.RadianceSamples`.
 
     Attributes
     ----------
-    free : (m,) array
-    mean : (m, 3) array
-    precision : (m, 3, 3) array
-    specular_mean, specular_precision : (m, 3) array
-    misfit_floor, misfit_relative : (m,) array
-        What the model itself is off by: radiance, and share of the radiance.
+    view, light, radiance, variance : (n, m, 3) array
+    weight : (n, m) array
     """
 
-    free: NDArray[np.int32]
-    mean: Floats
-    precision: Floats
-    specular_mean: Floats
-    specular_precision: Floats
-    misfit_floor: Floats
-    misfit_relative: Floats
+    view: Singles
+    light: Singles
+    radiance: Singles
+    variance: Singles
+    weight: Singles
 
 
 class SolverSettings(NamedTuple):
@@ -80,12 +73,16 @@ class SolverSettings(NamedTuple):
     ----------
     bounds : (3, 2) array
         Ranges of ln k, ln r, ln c.
-    ln_ratios : (m,) array
-        Grid of ln r for starts, beside the prior's.
+    starts, weak_starts : int
+        Descents of a texel with a highlight, with a weak one.
+    ln_ratios, weak_ln_ratios : (m,) array
+        Their grids of ln r for starts, beside the prior's.
     huber_limit : float
         Standardised residual beyond which the loss is linear.
     threshold : float
         Fall of the cost below the diffuse fit's that a highlight must bring.
+    weak : float
+        Fall below which a highlight is weak.
     power : float
         Fall to be expected of the material's highlight where it counts as observable.
     tolerance : float
@@ -93,9 +90,13 @@ class SolverSettings(NamedTuple):
     """
 
     bounds: Floats
+    starts: int
     ln_ratios: Floats
+    weak_starts: int
+    weak_ln_ratios: Floats
     huber_limit: float
     threshold: float
+    weak: float
     power: float
     tolerance: float
     max_iterations: int
@@ -103,11 +104,8 @@ class SolverSettings(NamedTuple):
 
 @njit(cache=True, error_model="numpy")
 def gather_samples(
-    view: Singles,
-    light: Singles,
-    radiance: Singles,
-    variance: Singles,
-    weight: Singles,
+    samples: SampleArrays,
+    texel: int,
     misfit_floor: float,
     misfit_relative: float,
     space: Workspace,
@@ -117,10 +115,14 @@ def gather_samples(
 
     ``ceiling`` becomes the largest variance that ρ can have: ten times the brightest sample.
     """
+    views, lights, radiances, variances, weights = samples
+    view = views[texel]
+    light = lights[texel]
+    radiance = radiances[texel]
+    variance = variances[texel]
+    weight = weights[texel]
     n = 0
     bad = False
-    for c in range(CHANNELS):
-        ceiling[c] = 0.0
     for i in range(weight.shape[0]):
         w = float(weight[i])
         if w == 0.0:
@@ -139,14 +141,27 @@ def gather_samples(
         space.axes[0, n] = -float(view[i, 0]) * float(light[i, 0])
         space.axes[1, n] = -float(view[i, 1]) * float(light[i, 1])
         space.axes[2, n] = float(view[i, 2]) * cosine
+        space.lobe[n] = cosine
+        space.slopes[0, n] = w
         for c in range(CHANNELS):
-            y = float(radiance[i, c])
-            off = misfit_relative * y
-            scale = math.sqrt(w / (variance[i, c] + misfit_floor * misfit_floor + off * off))
-            space.rows[c, n] = cosine * scale
-            space.rows[CHANNELS + c, n] = y * scale
-            ceiling[c] = max(ceiling[c], abs(y) / cosine)
+            space.weight[c, n] = float(variance[i, c])
+            space.target[c, n] = float(radiance[i, c])
         n += 1
+    # Roots and quotients in loops of their own, which the compiler turns into vectors.
+    floor = misfit_floor * misfit_floor
+    for c in range(CHANNELS):
+        brightest = 0.0
+        for i in range(n):
+            off = misfit_relative * space.target[c, i]
+            space.weight[c, i] += floor + off * off
+        for i in range(n):
+            scale = math.sqrt(space.slopes[0, i] / space.weight[c, i])
+            space.rows[c, i] = scale
+            space.rows[CHANNELS + c, i] = scale * space.target[c, i]
+        for i in range(n):
+            space.rows[c, i] *= space.lobe[i]
+            brightest = max(brightest, abs(space.target[c, i]) / space.lobe[i])
+        ceiling[c] = brightest
     for c in range(CHANNELS):
         ceiling[c] = (10.0 * ceiling[c]) ** 2 if ceiling[c] > 0.0 else 1.0
     return n, bad
@@ -164,17 +179,21 @@ def forget_weights(space: Workspace, n: int) -> None:
 
 @njit(cache=True, error_model="numpy")
 def fit_columns(
-    space: Workspace, n: int, prior: LobePrior, huber_limit: float, rho: Floats
+    space: Workspace, n: int, prior: LobePrior, huber_limit: float, rho: Floats, tolerance: float
 ) -> float:
-    """Huber's fit of ρ under the lobe in ``space``; return twice its cost, without priors."""
+    """Huber's fit of ρ under the lobe in ``space``; return twice its cost, without priors.
+
+    Reweighting starts from the weights in ``space`` and ends when a step gains less than the
+    tolerance, relative to the cost.
+    """
     cost = np.inf
     for _ in range(_REWEIGHTINGS):
         sum_columns(space.weight, space.target, space.lobe, n, space.sums)
         solve_columns(space.sums, prior, rho)
-        new_cost = huber_weights(
+        new_cost, near = huber_weights(
             space.rows, space.lobe, rho, n, huber_limit, space.weight, space.target
         )
-        if not cost - new_cost > 1e-4 * new_cost:
+        if near or not cost - new_cost > tolerance * new_cost:
             cost = new_cost
             break
         cost = new_cost
@@ -190,12 +209,12 @@ def fit_diffuse(space: Workspace, n: int, huber_limit: float, rho: Floats) -> fl
     space.lobe[:n] = 0.0
     forget_weights(space, n)
     nothing = LobePrior(0, np.zeros(PARAMETERS), np.zeros((PARAMETERS, PARAMETERS)), none, exactly)
-    return fit_columns(space, n, nothing, huber_limit, rho)
+    return fit_columns(space, n, nothing, huber_limit, rho, _ROUGHLY)
 
 
 @njit(cache=True, error_model="numpy")
 def find_highlight(
-    space: Workspace, n: int, prior: LobePrior, settings: SolverSettings, starts: Floats
+    space: Workspace, n: int, prior: LobePrior, ln_ratios: Floats, bounds: Floats, starts: Floats
 ) -> tuple[float, float]:
     """Fill ``starts``: the prior's lobe first where there is one, then the grid's minima.
 
@@ -204,7 +223,7 @@ def find_highlight(
     """
     known = prior.precision[0, 0] > 0.0
     from_grid = starts[1:] if known else starts
-    fall = search_starts(space, n, settings.ln_ratios, prior, settings.bounds, from_grid)
+    fall = search_starts(space, n, ln_ratios, prior, bounds, from_grid)
     expected = 0.0
     if known:
         starts[0] = prior.mean
@@ -229,6 +248,7 @@ def descend_from_starts(
     rho: Floats,
 ) -> tuple[int, bool]:
     """Best minimum of all starts in ``theta`` and ``rho``; iterations, and whether it converged."""
+    trial_rho = np.empty((2, CHANNELS))
     best = np.inf
     iterations = 0
     converged = False
@@ -244,7 +264,9 @@ def descend_from_starts(
             space,
             n,
             trial,
-            rho,
+            trial_rho,
+            theta,
+            best,
             settings.bounds,
             prior,
             settings.huber_limit,
@@ -256,6 +278,7 @@ def descend_from_starts(
             best = cost
             converged = done
             theta[:] = trial
+            rho[:] = trial_rho
     return iterations, converged
 
 
@@ -277,16 +300,25 @@ def fit_texel(
     iterations = 0
     cost = np.inf
     forget_weights(space, n)
-    fall, expected = find_highlight(space, n, prior, settings, starts)
+    tried = starts[: settings.starts]
+    fall, expected = find_highlight(space, n, prior, settings.ln_ratios, settings.bounds, tried)
     highlight = fall > settings.threshold
+    if highlight and fall < settings.weak:
+        tried = starts[: settings.weak_starts]
+        find_highlight(space, n, prior, settings.weak_ln_ratios, settings.bounds, tried)
     if highlight:
-        iterations, converged = descend_from_starts(space, n, prior, settings, starts, theta, rho)
+        best_rho = np.empty((2, CHANNELS))
+        iterations, converged = descend_from_starts(
+            space, n, prior, settings, tried, theta, best_rho
+        )
         diffuse_cost = np.inf
         if settings.huber_limit < np.inf:
             diffuse_cost = fit_diffuse(space, n, settings.huber_limit, rho)
         evaluate_lobe(space.axes, n, theta, space.lobe, space.slopes)
-        forget_weights(space, n)
-        cost = fit_columns(space, n, prior, settings.huber_limit, rho)
+        huber_weights(
+            space.rows, space.lobe, best_rho, n, settings.huber_limit, space.weight, space.target
+        )
+        cost = fit_columns(space, n, prior, settings.huber_limit, rho, _CLOSELY)
         finite = math.isfinite(cost + np.sum(theta) + np.sum(rho))
         highlight = finite and diffuse_cost - cost > settings.threshold
         if not finite:
@@ -307,102 +339,5 @@ def fit_texel(
         return cost, flags | DIFFUSE, iterations
     evaluate_lobe(space.axes, n, theta, space.lobe, space.slopes)
     forget_weights(space, n)
-    cost = fit_columns(space, n, prior, settings.huber_limit, rho)
+    cost = fit_columns(space, n, prior, settings.huber_limit, rho, _CLOSELY)
     return cost, flags | UNOBSERVED, iterations
-
-
-@njit(cache=True, error_model="numpy")
-def remark(
-    theta: Floats, rho: Floats, free: int, variance: float, spread: float, bounds: Floats
-) -> int:
-    """Flags that follow from the result of a texel with a highlight, or without."""
-    flags = 0
-    if not np.any(rho > 0.0):
-        flags |= DARK
-    for p in range(free):
-        if theta[p] <= bounds[p, 0] or theta[p] >= bounds[p, 1]:
-            flags |= AT_BOUND
-    if variance > _HARDLY_NARROWED * spread:
-        flags |= LOBE_FROM_PRIOR
-    return flags
-
-
-@njit(cache=True, error_model="numpy", parallel=True)
-def fit_batch(
-    view: Singles,
-    light: Singles,
-    radiance: Singles,
-    variance: Singles,
-    weight: Singles,
-    material: NDArray[np.int32],
-    table: MaterialTable,
-    settings: SolverSettings,
-    number_of_starts: int,
-    thetas: Floats,
-    rhos: Floats,
-    covariances: Singles,
-    costs: Floats,
-    counts: NDArray[np.int32],
-    iterations: NDArray[np.int32],
-    flags: NDArray[np.int32],
-) -> None:
-    """Fit all texels; ``table`` holds one row per material, the outputs one per texel."""
-    texels, samples = weight.shape
-    range_precision = 12.0 / (settings.bounds[:, 1] - settings.bounds[:, 0]) ** 2
-    for chunk in prange((texels + _CHUNK - 1) // _CHUNK):
-        space = make_workspace(samples)
-        ceiling = np.empty(CHANNELS)
-        covariance = np.empty((ALL, ALL))
-        starts = np.empty((number_of_starts, PARAMETERS))
-        for t in range(chunk * _CHUNK, min(texels, (chunk + 1) * _CHUNK)):
-            m = material[t]
-            prior = LobePrior(
-                table.free[m],
-                table.mean[m],
-                table.precision[m],
-                table.specular_mean[m],
-                table.specular_precision[m],
-            )
-            n, bad = gather_samples(
-                view[t],
-                light[t],
-                radiance[t],
-                variance[t],
-                weight[t],
-                table.misfit_floor[m],
-                table.misfit_relative[m],
-                space,
-                ceiling,
-            )
-            counts[t] = n
-            remarks = SAMPLES_DROPPED if bad else 0
-            if n > 0:
-                costs[t], found, iterations[t] = fit_texel(
-                    space, n, prior, settings, starts, thetas[t], rhos[t]
-                )
-                remarks |= found
-            else:
-                thetas[t] = prior.mean
-                rhos[t, 0] = 0.0
-                rhos[t, 1] = prior.specular_mean
-                space.sums[:] = 0.0
-                space.hessian[:] = 0.0
-                space.by_column[:] = 0.0
-                remarks |= NO_SAMPLES
-            if remarks & DIFFUSE:
-                # ρ_s = 0 is the samples' word alone; its error is that of an unclipped estimate.
-                alone = LobePrior(
-                    prior.free, prior.mean, prior.precision, np.zeros(CHANNELS), np.zeros(CHANNELS)
-                )
-                propagate_covariance(space, rhos[t], alone, range_precision, ceiling, covariance)
-            else:
-                propagate_covariance(space, rhos[t], prior, range_precision, ceiling, covariance)
-            covariances[t] = covariance
-            if remarks & (DIFFUSE | UNOBSERVED | NO_SAMPLES) == 0:
-                spread = 1.0 / (prior.precision[0, 0] + range_precision[0])
-                remarks |= remark(
-                    thetas[t], rhos[t], prior.free, covariance[0, 0], spread, settings.bounds
-                )
-            elif n > 0 and not np.any(rhos[t] > 0.0):
-                remarks |= DARK
-            flags[t] = remarks
