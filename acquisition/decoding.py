@@ -27,6 +27,7 @@ from acquisition.fringe_kernels import (
     mask_rejected,
     settle,
 )
+from acquisition.fringe_sampling import FringeSampler
 from acquisition.fringes import exposures_of_fringes, find_fringes
 from acquisition.gray_decoding import GrayCode, decode_gray_alone, find_gray_code
 from acquisition.patterns import Axis
@@ -71,7 +72,7 @@ def decode(
     found: dict[Axis, DecodedAxis] = {}
     for axis in Axis:
         code = find_gray_code(plan, axis)
-        groups = [group for group in decoder.groups if group[0].axis is axis]
+        groups = [group for group in decoder.sampler.groups if group[0].axis is axis]
         if groups:
             found[axis] = decoder.decode(groups, extent=_extent(plan, axis), code=code)
         elif code is not None:
@@ -82,7 +83,7 @@ def decode(
         )
     ambient = shared.ambient
     ambient /= max(1, shared.terms)
-    noise = decoder.noise or SampleNoise(QUANTISATION_VARIANCE, 0.0, "quantisation")
+    noise = decoder.sampler.noise or SampleNoise(QUANTISATION_VARIANCE, 0.0, "quantisation")
     if not _settle_orders(found, shared.rejection, decoder):
         raise DecodingError(_why_nothing(shared.rejection, found, ambient, noise))
     shape = (plan.crop.height, plan.crop.width)
@@ -103,7 +104,8 @@ def _decoder(plan: Plan, read_frame: ReadFrame, options: DecodingOptions) -> Fri
     pixels = plan.crop.height * plan.crop.width
     shared = SharedPictures(np.zeros(pixels, np.float32), np.zeros(pixels, np.uint16))
     groups = exposures_of_fringes(find_fringes(plan))
-    return FringeDecoder(FrameStream(plan, read_frame), options, groups, shared, options.noise)
+    sampler = FringeSampler(FrameStream(plan, read_frame), options, groups, options.noise)
+    return FringeDecoder(sampler, shared)
 
 
 def _extent(plan: Plan, axis: Axis) -> int:
@@ -112,20 +114,20 @@ def _extent(plan: Plan, axis: Axis) -> int:
 
 def _decode_code(code: GrayCode, decoder: FringeDecoder) -> DecodedAxis:
     """An axis that has a Gray code and no fringes."""
-    options, shared = decoder.options, decoder.shared
+    options, shared = decoder.sampler.options, decoder.shared
     least = options.minimum_modulation
     decoded, noise = decode_gray_alone(
         code,
-        decoder.stream,
+        decoder.sampler.stream,
         shared.rejection,
-        noise=decoder.noise,
+        noise=decoder.sampler.noise,
         contrast=options.minimum_contrast if least is None else 0.0,
         least=least or 0.0,
     )
-    decoder.noise = noise
+    decoder.sampler.noise = noise
     shared.ambient += decoded.ambient
     shared.terms += 1
-    extent = _extent(decoder.stream.plan, code.axis)
+    extent = _extent(decoder.sampler.stream.plan, code.axis)
     outside = ~((decoded.coordinate >= -0.5) & (decoded.coordinate <= extent - 0.5))
     shared.rejection[outside] |= np.uint16(Rejection.OUT_OF_RANGE)
     variance = np.full(len(decoded.ambient), code.step_px**2 / 12, np.float32)
@@ -152,8 +154,8 @@ def _settle_orders(
     accepted, unsettled = _mask(found, rejection, PROVISIONAL)
     uncertain = rejection & np.uint16(UNCERTAIN_ORDER) if unsettled else None
     wrong = np.zeros(1, np.bool_) if uncertain is None else uncertain != 0
-    if accepted and decoder.options.check_neighbours:
-        shape, plan = decoder.stream.shape, decoder.stream.plan
+    if accepted and decoder.sampler.options.check_neighbours:
+        shape, plan = decoder.sampler.stream.shape, decoder.sampler.stream.plan
         axes = {
             axis: UnwrappedAxis(
                 decoded.coordinate.reshape(shape),
@@ -173,7 +175,7 @@ def _settle_orders(
     if unsettled or wrong.any():
         settle(rejection, wrong)
         for axis, decoded in found.items():
-            flag_outside(decoded.coordinate, _extent(decoder.stream.plan, axis), rejection)
+            flag_outside(decoded.coordinate, _extent(decoder.sampler.stream.plan, axis), rejection)
         accepted, _ = _mask(found, rejection, 0)
     return accepted
 

@@ -24,13 +24,15 @@ from numpy.typing import NDArray
 from acquisition.fringes import Fringe
 
 # Multiples of the number of steps that are fitted, and the highest order worth fitting.
-_MULTIPLES = 3
+_MULTIPLES = 5
 _HIGHEST_ORDER = 16
 _SHORTEST_PERIOD = 6.0
 _LEAST_PERIODS = 2.0
 # Turns between two pixels that are surely less than half a turn apart.
 _SHORT_STEP = 0.2
 _LEAST_EQUATIONS = 500
+# Equations of one lag and direction beyond which more tell nothing new.
+_ENOUGH_EQUATIONS = 12_000
 _TUKEY = 4.685
 _ITERATIONS = 12
 
@@ -102,32 +104,37 @@ def series_along_lines(
     PhaseSeries or None
         None where the lines show too few periods, or periods too short, to tell.
     """
-    designs, differences = [], []
+    systems = []
     for turns, use in zip(lines, good, strict=True):
         period = _period_of_lines(turns, use)
-        length = turns.shape[1]
-        if not (_SHORTEST_PERIOD <= period <= length / _LEAST_PERIODS):
-            continue
-        lags = {max(1, round(period / (2 * order))) for order in orders}
-        for lag in sorted(lags):
-            design, difference = _second_differences(turns, use, lag, orders)
+        if _SHORTEST_PERIOD <= period <= turns.shape[1] / _LEAST_PERIODS:
+            lags = sorted({max(1, round(period / (2 * order))) for order in orders})
+            systems.append([_second_differences(turns, use, lag, orders) for lag in lags])
+    if sum(len(part[1]) for parts in systems for part in parts) < _LEAST_EQUATIONS:
+        return None
+    solution, covariance = _robust_fit(*_stacked(systems, 2 * len(orders)))
+    width = 2 * len(orders)
+    return _series(orders, solution[:width], covariance[:width, :width])
+
+
+_System = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.intp]]
+
+
+def _stacked(systems: list[list[_System]], width: int) -> _System:
+    """Systems of all directions and lags in one; the slow curvature of each direction its own."""
+    slow = systems[0][0][0].shape[1] - width
+    designs, differences, clusters, before = [], [], [], 0
+    for number, parts in enumerate(systems):
+        for harmonic, difference, line in parts:
+            design = np.zeros((len(harmonic), width + slow * len(systems)))
+            design[:, :width] = harmonic[:, :width]
+            own = width + slow * number
+            design[:, own : own + slow] = harmonic[:, width:]
             designs.append(design)
             differences.append(difference)
-    if sum(map(len, differences)) < _LEAST_EQUATIONS:
-        return None
-    # Each lag and direction has its own slow curvature.
-    width = 2 * len(orders)
-    slow = designs[0].shape[1] - width
-    rows = [len(d) for d in differences]
-    design = np.zeros((sum(rows), width + slow * len(rows)))
-    start = 0
-    for number, part in enumerate(designs):
-        design[start : start + rows[number], :width] = part[:, :width]
-        own = width + slow * number
-        design[start : start + rows[number], own : own + slow] = part[:, width:]
-        start += rows[number]
-    solution, covariance = _robust_fit(design, np.concatenate(differences))
-    return _series(orders, solution[:width], covariance[:width, :width])
+            clusters.append(line + before)
+        before = 1 + max(int(cluster.max(initial=0)) for cluster in clusters)
+    return np.concatenate(designs), np.concatenate(differences), np.concatenate(clusters)
 
 
 def series_of_coarse(
@@ -163,6 +170,21 @@ def series_of_coarse(
     return _series(fitted, solution, covariance)
 
 
+def held_out_residual(
+    phases: list[NDArray[np.floating]], good: list[NDArray[np.bool_]], orders: tuple[int, ...]
+) -> NDArray[np.float64]:
+    """Amplitudes in every other line of what the lines between them would subtract, radians."""
+    half = series_along_lines([p[::2] for p in phases], [g[::2] for g in good], orders)
+    if half is None:
+        return np.full(len(orders), np.nan)
+    rest = [p[1::2] for p in phases]
+    # The error is linear in its coefficients, so what would be left of it is the difference.
+    left = series_along_lines(rest, [g[1::2] for g in good], orders)
+    if left is None:
+        return np.full(len(orders), np.nan)
+    return 2 * np.pi * np.hypot(left.cosine - half.cosine, left.sine - half.sine)
+
+
 def _series(
     orders: tuple[int, ...], solution: NDArray[np.float64], covariance: NDArray[np.float64]
 ) -> PhaseSeries:
@@ -190,11 +212,12 @@ def _period_of_lines(turns: NDArray[np.floating], use: NDArray[np.bool_]) -> flo
 
 def _second_differences(
     turns: NDArray[np.floating], use: NDArray[np.bool_], lag: int, orders: tuple[int, ...]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Second differences of phases at a lag, and their design: harmonics, then slow terms."""
-    parts = [turns[:, 2 * lag :], turns[:, lag:-lag], turns[:, : -2 * lag]]
-    good = use[:, 2 * lag :] & use[:, lag:-lag] & use[:, : -2 * lag]
-    after, here, before = (np.asarray(part[good], np.float64) for part in parts)
+) -> _System:
+    """Design (harmonics, slow terms) of second differences at a lag, these, and their lines."""
+    good = np.argwhere(use[:, 2 * lag :] & use[:, lag:-lag] & use[:, : -2 * lag])
+    good = good[:: 1 + len(good) // _ENOUGH_EQUATIONS]
+    line, start = good.T
+    after, here, before = (turns[line, start + k * lag].astype(np.float64) for k in (2, 1, 0))
     rise, rise_before = after - here, here - before
     difference = (rise - np.round(rise)) - (rise_before - np.round(rise_before))
     columns: list[NDArray[np.float64]] = []
@@ -202,16 +225,22 @@ def _second_differences(
         for wave in (np.cos, np.sin):
             ahead, middle, behind = (wave(2 * np.pi * order * t) for t in (after, here, before))
             columns.append(ahead - 2 * middle + behind)
-    where = np.argwhere(good).astype(np.float64) / turns.shape - 0.5
-    u, v = where[:, 0], where[:, 1]
-    columns += [np.ones(len(u)), u, v, u * u, u * v, v * v]
-    return np.stack(columns, axis=1), difference
+    # A smooth curve's second difference grows with the square of the lag.
+    u, v = (good.astype(np.float64) / turns.shape - 0.5).T
+    columns += [lag**2 * term for term in (np.ones(len(u)), u, v, u * u, u * v, v * v)]
+    return np.stack(columns, axis=1), difference, line
 
 
 def _robust_fit(
-    design: NDArray[np.float64], observed: NDArray[np.floating]
+    design: NDArray[np.float64],
+    observed: NDArray[np.floating],
+    clusters: NDArray[np.intp] | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Least squares with Tukey's weights, and the covariance of the solution."""
+    """Least squares with Tukey's weights, and the covariance of the solution.
+
+    Equations of one cluster share noise; their covariance is taken from the data, cluster by
+    cluster.
+    """
     observed = np.asarray(observed, np.float64)
     solution = np.zeros(design.shape[1])
     scale = 1.0
@@ -223,4 +252,11 @@ def _robust_fit(
         weighted = design * weight[:, np.newaxis]
         normal = weighted.T @ design
         solution = np.linalg.lstsq(normal, weighted.T @ observed, rcond=1e-10)[0]
-    return solution, scale**2 * np.linalg.pinv(normal, rcond=1e-10)
+    inverse = np.linalg.pinv(normal, rcond=1e-10)
+    if clusters is None:
+        return solution, scale**2 * inverse
+    pull = weighted * (observed - design @ solution)[:, np.newaxis]
+    order = np.argsort(clusters, kind="stable")
+    starts = np.flatnonzero(np.diff(clusters[order], prepend=-1))
+    pulls = np.add.reduceat(pull[order], starts, axis=0)
+    return solution, inverse @ (pulls.T @ pulls) @ inverse
