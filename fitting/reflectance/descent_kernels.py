@@ -29,8 +29,7 @@ Floats = NDArray[np.float64]
 
 
 _LONGEST_STEP = 1.5  # in ln k, ln r, ln c
-_NEAR_K = 0.1
-_NEAR_RATIO = 0.02
+_NEAR = 0.15  # of ln k, and of the lobe's logarithm by ln r and ln c
 
 
 class LobePrior(NamedTuple):
@@ -197,9 +196,11 @@ def linearise(space: Workspace, n: int, theta: Floats, rho: Floats, prior: LobeP
 @njit(cache=True, error_model="numpy")
 def joins(theta: Floats, known: Floats, free: int) -> bool:
     """Whether a descent has come so near a known minimum that it can only end there."""
-    near = True
-    for p in range(free):
-        near = near and abs(theta[p] - known[p]) < (_NEAR_K if p == 0 else _NEAR_RATIO)
+    # In units of the lobe's own width: narrow lobes have minima close to one another.
+    scale = math.exp(known[0])
+    near = abs(theta[0] - known[0]) < _NEAR
+    for p in range(1, free):
+        near = near and scale * abs(theta[p] - known[p]) < _NEAR
     return near
 
 

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 _UNKNOWNS = 9
 _SMALLEST_BASE = 1e-30
-_RELATIVE_TOLERANCE = 1e-8
 _MAX_EVALUATIONS = 400
 
 
@@ -127,7 +126,9 @@ class TexelProblem:
         return unknowns
 
 
-def minimise_slsqp(problem: TexelProblem, start: Floats) -> tuple[float, Floats]:
+def minimise_slsqp(
+    problem: TexelProblem, start: Floats, *, tolerance: float = 1e-8
+) -> tuple[float, Floats]:
     """Minimum of all unknowns together from one start, by SLSQP with analytic gradients.
 
     Parameters
@@ -135,6 +136,8 @@ def minimise_slsqp(problem: TexelProblem, start: Floats) -> tuple[float, Floats]
     problem : TexelProblem
     start : (9,) array
         Clipped into the bounds, outside of which NLopt refuses it.
+    tolerance : float
+        Relative change of cost and unknowns at which the search ends.
 
     Returns
     -------
@@ -161,8 +164,8 @@ def minimise_slsqp(problem: TexelProblem, start: Floats) -> tuple[float, Floats]
 
     optimiser.set_lower_bounds(lower / scale)
     optimiser.set_upper_bounds(upper / scale)
-    optimiser.set_ftol_rel(_RELATIVE_TOLERANCE)
-    optimiser.set_xtol_rel(_RELATIVE_TOLERANCE)
+    optimiser.set_ftol_rel(tolerance)
+    optimiser.set_xtol_rel(tolerance)
     optimiser.set_maxeval(_MAX_EVALUATIONS)
     cost, best = run_nlopt(optimiser, objective, held / scale)
     return cost * size, best * scale

@@ -13,6 +13,7 @@ class Benchmark(StrEnum):
     """The benchmarks there are: modules of :mod:`workstation.benchmarks`."""
 
     SURFACE = "surface"
+    REFLECTANCE = "reflectance"
     DEMO = "demo"
 
 
