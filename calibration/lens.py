@@ -268,8 +268,27 @@ def _pose_accessor(model: mrcal.cameramodel) -> Callable[..., NDArray[np.float64
 def rt_from_matrix(
     rotation: NDArray[np.float64], translation: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Rodrigues pose (6,) of a rotation matrix (3, 3) and a translation (3,)."""
-    return np.concatenate([mrcal.r_from_R(np.ascontiguousarray(rotation)), np.ravel(translation)])
+    """Rodrigues pose (6,) of a rotation matrix (3, 3) and a translation (3,).
+
+    By way of the quaternion (Shepperd, J. Guidance and Control 1, 1978), which is exact for half
+    turns too: a canvas that faces the camera is one, and ``mrcal.r_from_R`` takes it for none.
+    """
+    matrix = np.asarray(rotation, dtype=np.float64)
+    trace = np.trace(matrix)
+    # Four times the products of the quaternion (w, x, y, z) with each of its elements in turn.
+    products = np.empty((4, 4))
+    products[0, 0] = 1 + trace
+    products[1:, 1:] = matrix + matrix.T + (1 - trace) * np.eye(3)
+    odd = matrix - matrix.T
+    products[0, 1:] = products[1:, 0] = odd[2, 1], odd[0, 2], odd[1, 0]
+    quaternion = products[np.argmax(np.diagonal(products))]
+    quaternion = quaternion / np.linalg.norm(quaternion)
+    if quaternion[0] < 0:
+        quaternion = -quaternion
+    sine = np.linalg.norm(quaternion[1:])
+    angle = 2 * np.arctan2(sine, quaternion[0])
+    scale = angle / sine if sine > 0 else 2.0
+    return np.concatenate([scale * quaternion[1:], np.ravel(translation)])
 
 
 def compose(rt_a_b: NDArray[np.float64], rt_b_c: NDArray[np.float64]) -> NDArray[np.float64]:

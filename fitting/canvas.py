@@ -1,6 +1,6 @@
 """The canvas among the range points: its plane, its mask, its frame (paper section 4.2).
 
-PCA of the range points gives a first plane; the Sobel gradient of the heights above it is large
+PCA of the range points gives a first plane; the slope against it, by Sobel's operator, is large
 where the painting ends; a seed fill from the centre of the picture stops there; the mask is
 eroded; a second PCA of what is left gives the canvas frame.
 
@@ -134,7 +134,9 @@ def extract_canvas(range_image: RangeImage, options: CanvasOptions | None = None
     height = heights_above_plane(points, valid, centre, normal)
     variance = np.ascontiguousarray(range_image.depth_variance, dtype=np.float32)
     spacing = _point_spacing(points, valid, normal)
-    smooth = find_smooth(height, variance, valid, *spacing, options.maximum_slope, options.sigmas)
+    smooth = find_smooth(
+        points, variance, valid, normal, spacing, options.maximum_slope, options.sigmas
+    )
     region = find_region(
         smooth, seed=options.seed, window=options.seed_window, bridge_px=options.bridge_px
     )
@@ -168,8 +170,8 @@ def _thinned(values: NDArray[np.floating], mask: NDArray[np.bool_]) -> NDArray[n
 
 def _point_spacing(
     points: NDArray[np.float64], valid: NDArray[np.bool_], normal: NDArray[np.float64]
-) -> tuple[float, float]:
-    """Median distance on the plane of neighbours along the rows and along the columns."""
+) -> float:
+    """Median distance on the plane of neighbours, along rows or columns, whichever is less."""
     found = []
     for down, right in ((0, 1), (1, 0)):
         rows, cols = valid.shape
@@ -180,10 +182,9 @@ def _point_spacing(
         step = points[row + down, col + right] - points[row, col]
         flat = step - (step @ normal)[:, np.newaxis] * normal
         found.append(float(np.median(np.linalg.norm(flat, axis=1))) if len(row) else np.nan)
-    x, y = found
-    if not (x > 0 or y > 0):
+    if np.isnan(found).all() or not np.nanmin(found) > 0:
         raise FittingError("no two neighbouring pixels were measured: there is no surface to find")
-    return (x if x > 0 else y), (y if y > 0 else x)
+    return float(np.nanmin(found))
 
 
 def _plane(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -4,7 +4,8 @@ The smooth pixels fall into regions. Before they are told apart, bridges a few p
 so that a smear of paint over the seam of a frame does not join the two. The canvas is the region
 that holds most of the picture's centre, or the one on which a pixel was named; regions that run
 off the picture on three sides or more are the wall behind, if anything else will do. What a thick
-stroke cuts off inside the canvas's convex hull, and every hole, belongs to it.
+stroke cuts off inside the rectangle or the convex hull that the canvas spans, and every hole,
+belongs to it.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from fitting.errors import FittingError
 _SMALLEST_SHARE = 0.01
 # Another region of this share of the canvas's size makes the choice worth telling.
 _RIVAL_SHARE = 0.3
+# A region that fills this share of its smallest rectangle has lost its corners to strokes.
+_RECTANGLE_FILL = 0.85
 
 
 @dataclass(frozen=True)
@@ -154,8 +157,13 @@ def _whole(
 
 
 def _hull(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """What a region spans: its smallest rectangle where it all but fills that, else its hull."""
+    corners = np.asarray(cv2.convexHull(outline_pixels(mask)[:, ::-1].astype(np.int32)))
+    rectangle = cv2.minAreaRect(corners)
+    width, height = rectangle[1]
+    if cv2.contourArea(corners) > _RECTANGLE_FILL * width * height:
+        corners = np.rint(cv2.boxPoints(rectangle)).astype(np.int32)
     filled = np.zeros(mask.shape, np.uint8)
-    corners = cv2.convexHull(outline_pixels(mask)[:, ::-1].astype(np.int32))
     cv2.fillConvexPoly(filled, corners, [1])
     return filled.astype(bool)
 

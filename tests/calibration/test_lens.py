@@ -58,6 +58,21 @@ def test_rotations_agree_with_opencv():
     np.testing.assert_allclose(rt_from_matrix(matrix, np.ones(3)), np.append(vector, [1.0, 1, 1]))
 
 
+@pytest.mark.parametrize("short_of_half_a_turn", [0.0, 1e-12, 1e-8, 1e-6, 1e-4, 0.3, 3.0, np.pi])
+def test_poses_keep_half_turns_and_all_others(short_of_half_a_turn):
+    random = np.random.default_rng(5)
+    for axis in [*np.eye(3), *random.normal(size=(20, 3))]:
+        axis = axis / np.linalg.norm(axis)
+        cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+        angle = np.pi - short_of_half_a_turn
+        matrix = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+        pose = rt_from_matrix(matrix, np.array([1.0, 2, 3]))
+        np.testing.assert_allclose(rotation(pose), matrix, atol=1e-12)
+        there_and_back = compose(invert(pose), pose)
+        np.testing.assert_allclose(rotation(there_and_back), np.eye(3), atol=1e-12)
+        assert np.linalg.norm(pose[:3]) <= np.pi + 1e-12
+
+
 def test_the_number_of_coefficients_chooses_the_model():
     matrix = np.array([[900.0, 0, 160], [0, 910, 120], [0, 0, 1]])
     for count, model in ((0, "PINHOLE"), (4, "OPENCV4"), (8, "OPENCV8"), (12, "OPENCV12")):
