@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -62,9 +63,9 @@ def call_all(
         for name, (function, arguments) in calls.items():
             ours, theirs = _CHILDREN.Pipe(duplex=False)
             process = _CHILDREN.Process(target=_run, args=(theirs, function, arguments), name=name)
-            process.start()
-            theirs.close()
             running[ours] = name, process
+            _start(process)
+            theirs.close()
         while running and not deadline.passed:
             # In steps, between which an interruption is noticed.
             for ready in wait(list(running), timeout=min(deadline.remaining_s, 0.1)):
@@ -76,8 +77,8 @@ def call_all(
             _kill(process)
             ours.close()
             late = DeviceError(
-                f"did not answer within {limit_s:g} s and was given up; unplug and replug the "
-                "device, or restart its program"
+                f"did not answer within {limit_s:g} s and was given up; allow more time, or unplug "
+                "and replug the device"
             )
             yield Answer(name, error=late)
     finally:
@@ -101,6 +102,15 @@ def _answer_of(name: str, ours: Connection, process: Any) -> Answer:
     return Answer(name, value, error)
 
 
+def _start(process: Any) -> None:
+    """Start a process, and keep blocked the signals that multiprocessing lets through meanwhile."""
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    try:
+        process.start()
+    finally:
+        signal.pthread_sigmask(signal.SIG_BLOCK, blocked)
+
+
 def _end(process: Any) -> None:
     """Let a process that has answered end, but not for ever."""
     process.join(2.0)
@@ -108,6 +118,8 @@ def _end(process: Any) -> None:
 
 
 def _kill(process: Any) -> None:
+    if process.pid is None:
+        return  # it was never started
     # Not terminate, whose signal the children of the command line do not take.
     process.kill()
     process.join()

@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from types import TracebackType
 
 import numpy as np
@@ -29,6 +28,7 @@ from devices.interfaces import (
     Subject,
 )
 from devices.light_proof import counterpart, telling_exposures
+from devices.way_out import afterwards, do_all
 
 
 class Rig:
@@ -165,9 +165,9 @@ class Rig:
 
     def blank(self) -> None:
         """Put the projector's light out, if there is a projector."""
+        self._showing = None
         if self._projector is not None:
             self._projector.blank()
-        self._showing = None
         self._since_s = time.monotonic()
 
     def move_light(self, pose: ArmPose) -> None:
@@ -222,24 +222,22 @@ class Rig:
         Raises
         ------
         DeviceError
-            Of the last device that failed; every device was told all the same.
+            Of the first device that failed, with those of others as notes; every device was told
+            all the same.
         """
-        with ExitStack() as every:
-            for action in self._safe_actions():
-                every.callback(action)
         self._showing = None
+        do_all(*self._safe_actions())
 
     def close(self) -> None:
-        """Make everything safe and release every device, whatever fails on the way."""
-        with ExitStack() as every:
-            if self._camera is not None:
-                every.callback(self._camera.close)
-            if self._projector is not None:
-                every.callback(self._projector.close)
-            if self._arm is not None:
-                every.callback(self._arm.close)
-            for action in self._safe_actions():
-                every.callback(action)
+        """Make everything safe and release every device, whatever fails on the way.
+
+        Raises
+        ------
+        DeviceError
+            As :meth:`make_safe`.
+        """
+        devices = (self._arm, self._projector, self._camera)
+        do_all(*self._safe_actions(), *(device.close for device in devices if device is not None))
 
     def __enter__(self) -> Rig:
         return self
@@ -250,15 +248,18 @@ class Rig:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self.close()
+        with afterwards(self.close):
+            # What ended the block is told before what closing met.
+            if error is not None:
+                raise error
 
     def _safe_actions(self) -> list[Callable[[], None]]:
-        """What makes the rig safe; called last to first."""
+        """What makes the rig safe: motion and lamp first."""
         actions: list[Callable[[], None]] = []
-        if self._projector is not None:
-            actions.append(self._projector.blank)
         if self._arm is not None:
             actions.append(self._arm.stop)
+        if self._projector is not None:
+            actions.append(self._projector.blank)
         return actions
 
     @property

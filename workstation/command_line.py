@@ -44,9 +44,11 @@ def main() -> None:
         sys.exit(code)
     except ImpastoError as error:
         messages.print(f"[bold red]error:[/] {_escape(str(error))}")
+        _print_notes(messages, error)
         sys.exit(error.exit_code)
-    except (KeyboardInterrupt, typer.Abort):
+    except (KeyboardInterrupt, typer.Abort) as interruption:
         messages.print("[bold]interrupted[/]; nothing half-written was left behind")
+        _print_notes(messages, interruption)
         sys.exit(EXIT_INTERRUPTED)
     except typer.Exit as leave:
         sys.exit(leave.exit_code)
@@ -59,6 +61,12 @@ def main() -> None:
             error.show()
             sys.exit(error.exit_code)
         raise
+
+
+def _print_notes(messages: Console, error: BaseException) -> None:
+    """What failed on the way out, such as a lamp that could not be put out."""
+    for note in getattr(error, "__notes__", ()):
+        messages.print(_escape(note))
 
 
 def _escape(text: str) -> str:

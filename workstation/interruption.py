@@ -1,10 +1,11 @@
-"""Ctrl-C and polite kills end a command cleanly, wherever they strike.
+"""Ctrl-C, polite kills and a terminal that closes end a command cleanly, wherever they strike.
 
 Two things would spoil that. mrcal resets SIGINT to its default inside its functions, where a real
 signal would end the process without undoing anything; and some libraries swallow an exception that
 a signal raised inside their callbacks. So the signals are blocked in every thread and waited for by
 one of ours, which interrupts the main thread without a signal; and long work asks now and then
-whether it was meant to stop.
+whether it was meant to stop. Where a library lets the signals through all the same, as
+:mod:`multiprocessing` does when it starts a process, their handlers do the same.
 """
 
 from __future__ import annotations
@@ -14,16 +15,26 @@ import signal
 import threading
 from types import FrameType
 
-_SIGNALS = {signal.SIGINT, signal.SIGTERM}
+_SIGNALS = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
 _requested = threading.Event()
+_raised = threading.Event()
 
 
 def watch_for_interruption() -> None:
-    """Take SIGINT and SIGTERM as requests to stop; call first, from the main thread."""
-    signal.signal(signal.SIGINT, _interrupt)
+    """Take SIGINT, SIGTERM and SIGHUP as requests to stop; call first, from the main thread.
+
+    A SIGHUP that is ignored already (``nohup``) stays ignored.
+    """
+    watched = set(_SIGNALS)
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+        watched.remove(signal.SIGHUP)
+    for number in watched:
+        signal.signal(number, _interrupt)
     # Threads started later inherit the mask.
-    signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
-    threading.Thread(target=_wait_for_signals, daemon=True, name="interruption").start()
+    signal.pthread_sigmask(signal.SIG_BLOCK, watched)
+    threading.Thread(
+        target=_wait_for_signals, args=(watched,), daemon=True, name="interruption"
+    ).start()
 
 
 def stop_if_requested() -> None:
@@ -32,9 +43,9 @@ def stop_if_requested() -> None:
         raise KeyboardInterrupt
 
 
-def _wait_for_signals() -> None:
+def _wait_for_signals(watched: set[signal.Signals]) -> None:
     while True:
-        signal.sigwait(_SIGNALS)
+        signal.sigwait(watched)
         if _requested.is_set():
             continue  # the way out is not interrupted
         _requested.set()
@@ -42,4 +53,7 @@ def _wait_for_signals() -> None:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
+    _requested.set()
+    if not _raised.is_set():
+        _raised.set()
+        raise KeyboardInterrupt

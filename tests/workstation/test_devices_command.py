@@ -113,14 +113,15 @@ def test_a_bad_rig_file_ends_with_exit_code_3(tmp_path):
     assert "line 2: camera.driver: there is no 'simulatd'; did you mean simulated?" in done.stderr
 
 
-def test_an_interrupted_search_ends_at_once():
+@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_an_interrupted_search_ends_at_once(sign):
     running = subprocess.Popen(
         [str(IMPASTO), "devices"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     assert running.stderr is not None
     running.stderr.readline()
     time.sleep(0.3)
-    running.send_signal(signal.SIGINT)
+    running.send_signal(sign)
     assert running.wait(timeout=20) == 130
 
 
