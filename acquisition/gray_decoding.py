@@ -176,29 +176,44 @@ def decode_gray_alone(
     DecodingError
         Bits without an inverse, and no white and black frame to stand in for it.
     """
-    inverse = _inverses(code, stream)
+    opposed = _opposed(code, stream)
     pixels = len(rejection)
     words = np.zeros(pixels, np.int32)
-    smallest, second = (np.full(pixels, np.inf, np.float32) for _ in range(2))
+    smallest = np.full(pixels, np.inf, np.float32)
+    second = opposed.largest_contrast
     ambient = np.zeros(pixels, np.float32)
-    sums = []
-    rows = sample_rows(stream.shape)
+    rows, differences = sample_rows(stream.shape), []
     for bit in range(0, code.length, 2):
-        pair = inverse(bit)
+        pair = opposed.pair(bit)
         both = bit + 1 < code.length
-        other = inverse(bit + 1) if both else pair
+        other = opposed.pair(bit + 1) if both else pair
         read_bits(words, *pair, *other, both)
         weigh_bits(smallest, second, *pair, *other, both)
         if bit == 0:
-            light_of_bit(*pair, stream.plan.saturation_level, ambient, rejection)
+            light = pair if len(code.bits[0]) == 1 else _shortest(code, stream)
+            light_of_bit(*light, stream.plan.saturation_level, ambient, rejection)
         for picture, opposite in (pair, other)[: 1 + both]:
-            sums.append(_rows(picture, rows, stream.shape) + _rows(opposite, rows, stream.shape))
-    noise = noise or _noise_of_sums(np.stack(sums), 2 * stream.plan.saturation_level)
+            sampled = (p.reshape(stream.shape)[rows].ravel() for p in (picture, opposite))
+            differences.append(np.subtract(*sampled, dtype=np.float64))
+    lit = (rejection.reshape(stream.shape)[rows] == 0).ravel()
+    level = ambient.reshape(stream.shape)[rows].ravel()
+    noise = noise or _noise_of_differences(
+        np.stack(differences)[:, lit], level[lit], opposed.own_samples
+    )
     modulation = np.empty(pixels, np.float32)
     # One bit has no second smallest contrast.
     judged = second if code.length > 1 else smallest
+    # Half a difference has a quarter of its variance.
+    share = (opposed.own_samples + opposed.shared_samples) / 4
     judge_words(
-        judged, ambient, noise.read_variance, noise.gain, contrast, least, modulation, rejection
+        judged,
+        ambient,
+        share * noise.read_variance,
+        share * noise.gain,
+        contrast,
+        least,
+        modulation,
+        rejection,
     )
     coordinate = np.empty(pixels)
     cell_centres(words, code.first_lit_centre, code.step_px, coordinate)
@@ -211,23 +226,28 @@ def sample_rows(shape: tuple[int, int], samples: int = 32_768) -> NDArray[np.int
     return np.unique(np.linspace(0, rows - 1, max(1, min(rows, samples // cols))).astype(np.intp))
 
 
-def _rows(picture: _Picture, rows: NDArray[np.intp], shape: tuple[int, int]) -> NDArray[np.float64]:
-    return picture.reshape(shape)[rows].astype(np.float64)
+def _noise_of_differences(
+    differences: NDArray[np.float64], level: NDArray[np.float32], samples: float
+) -> SampleNoise:
+    """Noise of a sample from (bits, n) differences of bits and inverses.
 
-
-def _noise_of_sums(sums: NDArray[np.float64], ceiling: int) -> SampleNoise:
-    """Noise of a sample from (bits, rows, cols) sums of bit and inverse."""
-    below = (sums < ceiling).all(axis=0).ravel()
-    spread = sums.reshape(len(sums), -1)[:, below]
-    if len(sums) < 2 or spread.shape[1] < _LEAST_SAMPLES:
+    Those of lit bits are alike, and those of dark ones. ``samples`` of independent noise are in
+    each difference.
+    """
+    lit = differences > 0
+    counts = lit.sum(axis=0)
+    both = (counts > 0) & (counts < len(differences))
+    if len(differences) < 3 or both.sum() < _LEAST_SAMPLES:
         return SampleNoise(QUANTISATION_VARIANCE, 0.0, "quantisation: too little to tell more from")
-    # Twice a sample's variance at the mean level of both.
-    squares = len(sums) * spread.var(axis=0) / 2
+    squares = np.zeros(int(both.sum()))
+    for group in (lit[:, both], ~lit[:, both]):
+        mean = (differences[:, both] * group).sum(axis=0) / group.sum(axis=0)
+        squares += (group * (differences[:, both] - mean) ** 2).sum(axis=0)
     return fit_sample_noise(
-        spread.mean(axis=0) / 2,
-        squares,
-        degrees_of_freedom=len(sums) - 1,
-        origin=f"sums of {len(sums)} Gray bits and their inverses",
+        level[both],
+        squares / samples,
+        degrees_of_freedom=len(differences) - 2,
+        origin=f"differences of {len(differences)} Gray bits and their inverses",
     )
 
 
@@ -260,23 +280,50 @@ def _against(
     return margin, np.zeros_like(margin)
 
 
-def _inverses(code: GrayCode, stream: FrameStream) -> Callable[[int], tuple[_Picture, _Picture]]:
-    """Takes a bit to its picture and its inverse, made of white and black where none was taken."""
+@dataclass(frozen=True)
+class _Opposed:
+    """Bits and their inverses, as taken or made of white and black.
+
+    ``pair`` takes a bit to its picture and its inverse. The difference of the two holds
+    ``own_samples`` of independent noise, and ``shared_samples`` that are the same for all bits.
+    ``largest_contrast`` (pixels,) float32 is what a difference can be at most.
+    """
+
+    pair: Callable[[int], tuple[_Picture, _Picture]]
+    own_samples: float
+    shared_samples: float
+    largest_contrast: NDArray[np.float32]
+
+
+def _shortest(code: GrayCode, stream: FrameStream) -> tuple[_Picture, _Picture]:
+    """First bit and its inverse at the shortest exposure: what saturates there does so in all."""
+    return stream.take(code.bits[0][0].id), stream.take(code.inverses[0][0].id)
+
+
+def _opposed(code: GrayCode, stream: FrameStream) -> _Opposed:
+    pixels = stream.shape[0] * stream.shape[1]
+    if needs_level(code) and any(len(frames) > 1 for frames in code.bits.values()):
+        raise DecodingError(
+            f"the {code.axis}s' Gray code was taken at several exposures without its inverse, and "
+            "no fringe tells its bits' levels; take the inverse too, or one exposure"
+        )
     if not needs_level(code):
-        return lambda bit: _against(code, bit, stream, None)
+        exposures = max(len(frames) for frames in code.bits.values())
+        unbounded = np.full(pixels, np.inf, np.float32)
+        return _Opposed(
+            lambda bit: _against(code, bit, stream, None), 2.0 * exposures, 0.0, unbounded
+        )
     flats = {frame.pattern: frame.id for frame in stream.plan.frames}
     if WHITE not in flats or BLACK not in flats:
         raise DecodingError(
             f"the plan has no fringes of the {code.axis}s, and its Gray code neither inverse "
             "frames nor a white and a black one to tell its bits by"
         )
-    both = stream.take(flats[WHITE]).astype(np.float32)
-    both += stream.take(flats[BLACK])
+    white = stream.take(flats[WHITE]).astype(np.float32)
+    black = stream.take(flats[BLACK]).astype(np.float32)
 
     def against_rest(bit: int) -> tuple[_Picture, _Picture]:
-        if bit in code.inverses:
-            return _against(code, bit, stream, None)
-        picture = stream.take(code.bits[bit][-1].id)
-        return picture, both - picture
+        picture = stream.take(code.bits[bit][0].id)
+        return picture, white + black - picture
 
-    return against_rest
+    return _Opposed(against_rest, 4.0, 2.0, np.maximum(white - black, 0))
