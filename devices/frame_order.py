@@ -142,14 +142,14 @@ class FrameOrder:
             self._proven = False
         last, self._last = self._last, frame
         rows = _rows(frame.image)
-        self._pictures[frame.exposure_applied_s] = rows.copy()
+        _keep(self._pictures, frame.exposure_applied_s, rows.copy())
         if not self._proven:
             self._proven = self._is_dark_still(light) or (
                 self._follows_the_light(frame, rows, last) and not self._looks_dark(frame, light)
             )
         if light.dark:
             darkness = self._darkness.setdefault(light.camera_position, {})
-            darkness[frame.exposure_applied_s] = self._pictures[frame.exposure_applied_s]
+            _keep(darkness, frame.exposure_applied_s, rows.copy())
         return self._proven
 
     def knows_darkness(self, camera_position: str | None) -> bool:
@@ -229,7 +229,8 @@ class FrameOrder:
         if light.dark or not darkness:
             return False
         exposure, rows = frame.exposure_applied_s, _rows(frame.image)
-        if exposure in darkness and rows.mean() <= darkness[exposure].mean():
+        same = _same_exposure(darkness, exposure)
+        if same is not None and rows.mean() <= darkness[same].mean():
             return True
         return not self._differs_from(darkness, rows, exposure)
 
@@ -237,13 +238,33 @@ class FrameOrder:
         self, pictures: dict[float, NDArray[Any]], rows: NDArray[Any], exposure: float
     ) -> bool:
         """Whether a picture differs from that of the nearest exposure among others."""
-        nearest = min(pictures, key=lambda other: abs(math.log(exposure / other)))
+        nearest = _nearest_exposure(pictures, exposure)
         return differ_beyond_noise(
             rows,
             pictures[nearest],
             exposure_ratio=exposure / nearest,
             saturation_level=self._saturation_level,
         )
+
+
+def _nearest_exposure(pictures: dict[float, NDArray[Any]], exposure: float) -> float:
+    return min(pictures, key=lambda other: abs(math.log(exposure / other)))
+
+
+def _same_exposure(pictures: dict[float, NDArray[Any]], exposure: float) -> float | None:
+    """The exposure among pictures' that is the same, by a camera that measures each; or None."""
+    if not pictures:
+        return None
+    nearest = _nearest_exposure(pictures, exposure)
+    return nearest if abs(math.log(exposure / nearest)) < _SAME_EXPOSURE else None
+
+
+def _keep(pictures: dict[float, NDArray[Any]], exposure: float, rows: NDArray[Any]) -> None:
+    """Keep a picture in place of the one of the same exposure: measured ones would pile up."""
+    same = _same_exposure(pictures, exposure)
+    if same is not None:
+        del pictures[same]
+    pictures[exposure] = rows
 
 
 def check_request(frame: Frame, exposure_s: float, camera: CameraCapabilities) -> None:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -151,3 +153,32 @@ def test_darkness_after_darkness_needs_no_proof(scene):
     assert not order.check(frame(3, noisy(2 * scene, 3)), light=lit, subject_since_s=0)
     # A lamp that went out must be seen to have done so.
     assert not order.check(frame(4, noisy(2 * scene, 4)), light=Light(), subject_since_s=0)
+
+
+@pytest.mark.parametrize("light", [Light(), Light(projection="white")])
+def test_a_long_recording_by_a_camera_that_measures_its_exposures_needs_no_more_memory(light):
+    order = FrameOrder()
+    random = np.random.default_rng(0)
+    tracemalloc.start()
+    try:
+        for number in range(220):
+            exposure = 0.1 + 1e-4 * random.random()
+            image = random.integers(0, 4000, (200, 500), dtype=np.uint16)
+            ended = float(number + 1)
+            taken = Frame(image, number, exposure, exposure, ended, 0.0)
+            order.check(taken, light=light, subject_since_s=0.0)
+            if number == 20:
+                before = tracemalloc.get_traced_memory()[0]
+        growth = tracemalloc.get_traced_memory()[0] - before
+    finally:
+        tracemalloc.stop()
+    assert growth < 2 * image.nbytes
+
+
+def test_a_lamp_that_fails_is_known_by_a_measured_exposure_too(scene):
+    order = FrameOrder()
+    dark, lamp = Light(), Light(lamp_on=True)
+    order.check(frame(1, noisy(20 * scene, 1), exposure=0.1), light=dark, subject_since_s=0.0)
+    darker = noisy(12 * scene * (0.5 + 0.4 * np.cos(np.arange(320) / 5)), 2)
+    taken = frame(2, darker, exposure=0.1002)
+    assert not order.check(taken, light=lamp, subject_since_s=0.0)
