@@ -27,6 +27,8 @@ from devices.settings import DriverSettings
 from devices.toml_lines import Key, key_lines, line_of
 
 SIMULATION = "simulation"
+# No rig needs more; what is larger, or endless, is something else.
+_LARGEST_BYTES = 1 << 18
 
 
 class SimulatedDevice(DriverSettings):
@@ -101,10 +103,10 @@ class RigFile:
                         devices[kind] = _open_device(kind, wanted[kind], scene, confirm)
                     if not isinstance(wanted[kind], SimulatedDevice | ManualMountSettings):
                         opened.callback(_close_quietly, devices[kind])
+            if scene is not None:
+                _close_unused(scene, {kind for kind in wanted if self.is_simulated(kind)})
             rig = self._rig_of(devices, scene)
             opened.pop_all()
-        if scene is not None:
-            _close_unused(scene, {kind for kind in wanted if self.is_simulated(kind)})
         return rig
 
     def _open_scene(self) -> Rig:
@@ -143,12 +145,12 @@ def read_rig_file(path: Path) -> RigFile:
         every one is named, with its line.
     """
     path = Path(path)
+    text = _read_text(path)
     try:
-        text = path.read_bytes().decode()
         content = tomllib.loads(text)
-    except OSError as error:
-        raise RigFileError(f"{path}: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except RecursionError:
+        raise RigFileError(f"{path}: not the TOML of a rig (brackets in brackets)") from None
+    except ValueError as error:
         raise RigFileError(f"{path}: not TOML ({error})") from None
     reading = _Reading(path, key_lines(text))
     devices: dict[DeviceKind, DriverSettings] = {}
@@ -171,6 +173,25 @@ def read_rig_file(path: Path) -> RigFile:
     return RigFile(path, text, devices, simulation)
 
 
+def _read_text(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            content = file.read(_LARGEST_BYTES + 1)
+    except OSError as error:
+        raise RigFileError(f"{path}: {error.strerror}") from None
+    if len(content) > _LARGEST_BYTES:
+        raise RigFileError(
+            f"{path} is larger than {_LARGEST_BYTES // 1024} KiB, which no description of a rig "
+            "is; give the rig.toml"
+        )
+    try:
+        # Some editors begin a text with a mark of its byte order.
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise RigFileError(f"{path}, line {line}: not text in UTF-8; save it as UTF-8") from None
+
+
 class _Reading:
     """Gathers what is wrong with a file, so that all of it is said at once."""
 
@@ -189,7 +210,8 @@ class _Reading:
         """Settings of a device's table; None once it has been refused."""
         known = names_of_drivers(kind)
         if not isinstance(table, dict):
-            self.refuse((kind.value,), f"must be a table: write [{kind}]")
+            one = f"; a rig has one {kind}" if isinstance(table, list) else ""
+            self.refuse((kind.value,), f"must be a table: write [{kind}]{one}")
             return None
         name = table.get("driver")
         driver = find_driver(kind, name) if isinstance(name, str) else None

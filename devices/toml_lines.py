@@ -30,6 +30,9 @@ def key_lines(text: str) -> dict[Key, int]:
         if header := _HEADER.match(line):
             table = _indexed(_parts(header[2]), arrays, begins=header[1] == "[[")
             lines.setdefault(table, number)
+            if isinstance(table[-1], int):
+                # The array itself begins with its first table.
+                lines.setdefault(table[:-1], number)
         elif assignment := _ASSIGNMENT.match(line):
             lines.setdefault(table + _parts(assignment[1]), number)
         quote = next((q for q in ('"""', "'" * 3) if line.count(q) % 2 == 1), None)

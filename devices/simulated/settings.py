@@ -17,7 +17,11 @@ if TYPE_CHECKING:
 
 Millimetres = Annotated[float, Field(ge=-1e4, le=1e4)]
 Place = tuple[Millimetres, Millimetres, Millimetres]
-Distortion = tuple[float, float, float, float, float]
+Coefficient = Annotated[float, Field(ge=-10, le=10)]
+Distortion = tuple[Coefficient, Coefficient, Coefficient, Coefficient, Coefficient]
+Degrees = Annotated[float, Field(ge=-720, le=720)]
+Share = Annotated[float, Field(ge=0, le=10)]
+PlaceName = Annotated[str, Field(min_length=1)]
 SmallDegrees = Annotated[float, Field(ge=-20, le=20)]
 
 
@@ -67,10 +71,10 @@ class ArmErrors(BaseModel):
     elevation_zero_deg: SmallDegrees = -0.5
     sag_deg: SmallDegrees = 0.25
     lamp_exponent: float = Field(default=6.0, ge=0, le=200)
-    lamp_colour: tuple[float, float, float] = (1.0, 0.93, 0.82)
+    lamp_colour: tuple[Share, Share, Share] = (1.0, 0.93, 0.82)
     aim_error_mm: Place = (4.0, -6.0, 0.0)
-    azimuth_deg: tuple[float, float] = (0.0, 350.0)
-    elevation_deg: tuple[float, float] = (15.0, 85.0)
+    azimuth_deg: tuple[Degrees, Degrees] = (0.0, 350.0)
+    elevation_deg: tuple[Degrees, Degrees] = (15.0, 85.0)
     speed_deg_per_s: float = Field(default=30.0, gt=0, le=1e4)
     real_time: bool = False
 
@@ -129,9 +133,9 @@ class SimulationSettings(DriverSettings):
     full_well_e: float = Field(default=10_000.0, ge=100, le=1e7)
     read_noise_e: float = Field(default=8.0, ge=0, le=1e5)
     black_level: float = Field(default=32.0, ge=0)
-    gain: float | None = Field(default=None, gt=0)
+    gain: float | None = Field(default=None, ge=1e-4, le=1e4)
     prnu: float = Field(default=0.008, ge=0, le=0.5)
-    dsnu_e: float = Field(default=1.0, ge=0)
+    dsnu_e: float = Field(default=1.0, ge=0, le=1e5)
     projector_width: int = Field(default=1280, ge=16, le=20_000)
     projector_height: int = Field(default=800, ge=16, le=20_000)
     projector_focal_px: float | None = Field(default=None, gt=0, le=1e6)
@@ -141,18 +145,19 @@ class SimulationSettings(DriverSettings):
     blur_px: float = Field(default=0.6, ge=0, le=50)
     projector_black: float = Field(default=0.004, ge=0, lt=1)
     ambient: float = Field(default=0.001, ge=0, le=10)
-    positions: dict[str, Place] = Field(default_factory=dict)
+    positions: dict[PlaceName, Place] = Field(default_factory=dict)
     arm: ArmErrors = ArmErrors()
 
     @model_validator(mode="after")
     def _can_be_built(self) -> SimulationSettings:
         if self.black_level >= 2**self.bits / 2:
             raise ValueError(f"black_level: {self.black_level:g} leaves no room for light")
-        for name, (x, y, z) in self.positions.items():
+        places = {f"positions: {name!r}": place for name, place in self.positions.items()}
+        if self.projector_mm is not None:
+            places["projector_mm:"] = self.projector_mm
+        for name, (x, y, z) in places.items():
             if not (z > 0 and math.hypot(x, y, z) > 50):
-                raise ValueError(
-                    f"positions: {name!r} must be before the painting (z > 0), 50 mm away at least"
-                )
+                raise ValueError(f"{name} must be before the painting (z > 0), 50 mm away at least")
         return self
 
     def build(self) -> SimulatedRig:

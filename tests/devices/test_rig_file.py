@@ -207,6 +207,17 @@ CAMERA = '[camera]\ndriver = "spy"\n'
         ('[mount]\ndriver = "manual"\npositions = ["a", "a"]', "mount: positions: a name occurs"),
         (f"[simulation]\nseed = -1\n{CAMERA}", "line 2: simulation.seed: Input should be greater"),
         ("[simulation]\nambient = nan\n", "line 2: simulation.ambient: "),
+        ("[simulation]\nprojector_mm = [0, 0, -100]\n", "projector_mm: must be before"),
+        ("[simulation]\ngain = 1e308\n", "line 2: simulation.gain: "),
+        ("[simulation]\ndsnu_e = 1e308\n", "line 2: simulation.dsnu_e: "),
+        ("[simulation.arm]\nlamp_colour = [-1, 0, 0]\n", "line 2: simulation.arm.lamp_colour"),
+        (
+            "[[arm]]\na = 1\n[[arm]]\n",
+            r"line 1: arm: must be a table: write \[arm\]; a rig has one",
+        ),
+        (f"x = {'[' * 100_000}", "not the TOML of a rig"),
+        (f"x = {'9' * 5000}", "not TOML"),
+        (f"# {'x' * 300_000}", "larger than 256 KiB"),
     ],
 )
 def test_what_is_wrong_is_named_by_file_line_and_key(write, spies, text, message):
@@ -227,8 +238,16 @@ def test_files_that_are_none(tmp_path):
     with pytest.raises(RigFileError, match="directory"):
         read_rig_file(tmp_path)
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe[camera]")
-    with pytest.raises(RigFileError, match="not TOML"):
+    with pytest.raises(RigFileError, match="line 1: not text in UTF-8"):
         read_rig_file(tmp_path / "binary.toml")
+    with pytest.raises(RigFileError, match="larger than"):
+        read_rig_file(Path("/dev/zero"))
+
+
+def test_a_text_may_begin_with_a_byte_order_mark(tmp_path):
+    (tmp_path / "rig.toml").write_bytes(b"\xef\xbb\xbf[camera]\ndriver = 'simulated'\n")
+    rig_file = read_rig_file(tmp_path / "rig.toml")
+    assert rig_file.text.startswith("[camera]")
 
 
 def test_a_driver_that_is_not_installed_is_said_so(write, monkeypatch):

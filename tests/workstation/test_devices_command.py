@@ -16,6 +16,7 @@ import pytest
 from devices.search import SEARCHED
 from devices.simulated.grbl_controller import SimulatedGrblController
 from devices.simulated.grbl_port import SimulatedGrblPort
+from workstation.commands.devices import _print_table
 from workstation.confirmation import confirm_at_desk
 
 IMPASTO = Path(sys.executable).parent / "impasto"
@@ -104,6 +105,19 @@ def test_a_device_that_does_not_answer_ends_with_exit_code_4_and_the_others_are_
     assert figures["camera"]["model"] == "simulated camera"
     assert "/dev/ttyNOPE" in figures["arm"]["problem"]
     assert "[projector] of" in figures["projector"]["problem"]
+
+
+@pytest.mark.parametrize("limit", ["nan", "inf", "0", "-1"])
+def test_a_time_that_would_never_come_is_a_wrong_use(limit):
+    done = impasto("devices", "--limit", limit)
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+
+
+def test_a_pipe_gets_lines_that_need_no_folding(capsys):
+    problem = "a long sentence that says what is wrong, where, and what to do next; " * 2
+    _print_table(("driver", "state"), [("grbl", problem.strip())])
+    assert problem.strip() in capsys.readouterr().out
 
 
 def test_a_bad_rig_file_ends_with_exit_code_3(tmp_path):

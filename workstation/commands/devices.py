@@ -11,7 +11,6 @@ if TYPE_CHECKING:
     from devices.probing import Probe
     from devices.search import Search
 
-
 _WIDTH = 160
 
 
@@ -25,7 +24,8 @@ def devices(
         Path | None, typer.Argument(metavar="[RIG.toml]", help="Probe this rig's devices.")
     ] = None,
     limit: Annotated[
-        float, typer.Option(min=0.1, metavar="SECONDS", help="Time for each driver or device.")
+        float,
+        typer.Option(min=0.1, max=86400, metavar="SECONDS", help="Time for each driver or device."),
     ] = 30.0,
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write figures here.")] = None,
 ) -> None:
@@ -139,5 +139,7 @@ def _print_table(columns: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
     for row in rows:
         table.add_row(*map(escape, row))
     console = Console(highlight=False)
-    # A file or a pipe has no width of its own.
-    console.print(table, width=None if console.is_terminal else _WIDTH)
+    if not console.is_terminal:
+        # A file or a pipe has no width of its own.
+        console.width = _WIDTH
+    console.print(table)
