@@ -87,13 +87,14 @@ def resample_heights(
     unit = float(np.median(variance[canvas.mask])) or 1.0
     draw = np.random.default_rng(0)
     noise = draw.standard_normal(int(canvas.mask.sum()), dtype=np.float32)
-    starts, samples = sort_into_cells(
+    starts, column, samples = sort_into_cells(
         place, heights, variance, canvas.mask, x0, y0, pitch, rows, cols, unit, noise
     )
     del place, heights, variance
     half_axes = (_RADIUS * max(1.0, spacing[0] / pitch), _RADIUS * max(1.0, spacing[1] / pitch))
     height, texel_variance, unresolved, error, fitted = fit_local_polynomials(
         starts,
+        column,
         samples,
         _window(half_axes),
         (rows, cols),

@@ -68,13 +68,13 @@ def sort_into_cells(
     cols: int,
     unit: float,
     noise: NDArray[np.float32],
-) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float32]]:
     """Samples by the cell of the grid that holds them.
 
-    Returns the first sample of each cell (rows * cols + 1) and, in that order, the samples (n, 5):
-    distance from the cell's centre to the right and down, in texels; height; precision in 1/unit;
-    and what ``noise`` (n,), a draw of standard normal errors, weighs under that precision. Samples
-    beyond the grid belong to the cell at its edge.
+    Returns the first sample of each cell (rows * cols + 1) and, in that order, the columns (n,) of
+    the samples in texels and the rest of them (n, 4): rows below the cell's centre; height;
+    precision in 1/unit; and what ``noise`` (n,), a draw of standard normal errors, weighs under
+    that precision. Samples beyond the grid belong to the cell at its edge.
     """
     starts = np.zeros(rows * cols + 1, np.int64)
     height_px, width_px = mask.shape
@@ -88,7 +88,8 @@ def sort_into_cells(
                 starts[cell[i, j] + 1] += 1
     for k in range(rows * cols):
         starts[k + 1] += starts[k]
-    samples = np.empty((starts[-1], 5), np.float32)
+    column = np.empty(starts[-1])
+    samples = np.empty((starts[-1], 4), np.float32)
     free = starts[:-1].copy()
     for i in range(height_px):
         for j in range(width_px):
@@ -96,18 +97,19 @@ def sort_into_cells(
                 k = cell[i, j]
                 n = free[k]
                 free[k] = n + 1
-                samples[n, 0] = (place[i, j, 0] - x0) / pitch - k % cols
-                samples[n, 1] = (y0 - place[i, j, 1]) / pitch - k // cols
-                samples[n, 2] = height[i, j]
+                column[n] = (place[i, j, 0] - x0) / pitch
+                samples[n, 0] = (y0 - place[i, j, 1]) / pitch - k // cols
+                samples[n, 1] = height[i, j]
                 precision = unit / max(variance[i, j], _SMALLEST_VARIANCE * unit)
-                samples[n, 3] = precision
-                samples[n, 4] = math.sqrt(precision) * noise[n]
-    return starts, samples
+                samples[n, 2] = precision
+                samples[n, 3] = math.sqrt(precision) * noise[n]
+    return starts, column, samples
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc"})
 def _gather_moments(
     starts: NDArray[np.int64],
+    column: NDArray[np.float64],
     samples: NDArray[np.float32],
     window: NDArray[np.int64],
     shape: tuple[int, int],
@@ -134,14 +136,12 @@ def _gather_moments(
     down = len(window) - 1
     for i in range(max(0, row - down), min(rows - 1, row + down) + 1):
         across = window[abs(i - row)]
-        j = max(0, col - across)
-        last = starts[i * cols + min(cols - 1, col + across) + 1]
         # Along a row the samples of the cells follow one another.
-        for n in range(starts[i * cols + j], last):
-            while n >= starts[i * cols + j + 1]:
-                j += 1
-            x = (samples[n, 0] + (j - col)) * per_x
-            y = (samples[n, 1] + (i - row)) * per_y
+        first = starts[i * cols + max(0, col - across)]
+        last = starts[i * cols + min(cols - 1, col + across) + 1]
+        for n in range(first, last):
+            x = (column[n] - col) * per_x
+            y = (samples[n, 0] + (i - row)) * per_y
             xx = x * x
             yy = y * y
             k = 1.0 - xx - yy
@@ -154,8 +154,8 @@ def _gather_moments(
                     quadrants |= 1 if y <= 0.0 else 2
                 if x <= 0.0:
                     quadrants |= 4 if y <= 0.0 else 8
-            w = k * samples[n, 3]
-            z = np.float64(samples[n, 2])
+            w = k * samples[n, 2]
+            z = np.float64(samples[n, 1])
             xy = x * y
             wxx = w * xx
             wyy = w * yy
@@ -184,60 +184,68 @@ def _gather_moments(
             z4 += wz * xy
             z5 += wz * yy
             zz += wz * z
-    moments[0, 0] = s
-    moments[1, 0], moments[1, 1] = sx, sxx
-    moments[2, 0], moments[2, 1], moments[2, 2] = sy, sxy, syy
-    moments[3, 0], moments[3, 1], moments[3, 2], moments[3, 3] = sxx, sxxx, sxxy, s40
-    moments[4, 0], moments[4, 1], moments[4, 2] = sxy, sxxy, sxyy
-    moments[4, 3], moments[4, 4] = s31, s22
-    moments[5, 0], moments[5, 1], moments[5, 2] = syy, sxyy, syyy
-    moments[5, 3], moments[5, 4], moments[5, 5] = s22, s13, s04
-    heights[0], heights[1], heights[2] = z0, z1, z2
-    heights[3], heights[4], heights[5] = z3, z4, z5
+    moments[0, 0] = s40
+    moments[1, 0], moments[1, 1] = s31, s22
+    moments[2, 0], moments[2, 1], moments[2, 2] = s22, s13, s04
+    moments[3, 0], moments[3, 1], moments[3, 2], moments[3, 3] = sxxx, sxxy, sxyy, sxx
+    moments[4, 0], moments[4, 1], moments[4, 2] = sxxy, sxyy, syyy
+    moments[4, 3], moments[4, 4] = sxy, syy
+    moments[5, 0], moments[5, 1], moments[5, 2] = sxx, sxy, syy
+    moments[5, 3], moments[5, 4], moments[5, 5] = sx, sy, s
+    heights[0], heights[1], heights[2] = z3, z4, z5
+    heights[3], heights[4], heights[5] = z1, z2, z0
     return count, quadrants == 15, squares / (s * s), zz, plain
 
 
-@njit(cache=True)
-def _factorise(moments: NDArray[np.float64], terms: int, factor: NDArray[np.float64]) -> bool:
-    """LDLᵀ of the leading terms of the normal matrix; False where it is all but singular."""
-    for i in range(terms):
-        for j in range(i + 1):
-            total = moments[i, j]
-            for k in range(j):
-                total -= factor[i, k] * factor[j, k] * factor[k, k]
-            if i > j:
-                factor[i, j] = total / factor[j, j]
-            elif total > _SMALLEST_PIVOT * moments[0, 0]:
-                factor[i, i] = total
-            else:
-                return False
-    return True
-
-
-@njit(cache=True)
-def _solve(
+@njit(cache=True, fastmath={"contract", "reassoc"})
+def _solve_quadratic(
+    moments: NDArray[np.float64],
+    first: int,
+    heights: NDArray[np.float64],
     factor: NDArray[np.float64],
-    terms: int,
-    right: NDArray[np.float64],
     solution: NDArray[np.float64],
-) -> None:
-    """Solve with the factors; what is beyond the terms is 0."""
-    for i in range(terms):
-        solution[i] = right[i]
-        for k in range(i):
-            solution[i] -= factor[i, k] * solution[k]
-    for i in range(terms):
-        solution[i] /= factor[i, i]
-    for i in range(terms - 1, -1, -1):
-        for k in range(i + 1, terms):
-            solution[i] -= factor[k, i] * solution[k]
-    for i in range(terms, QUADRATIC):
+) -> float:
+    """Eliminate the terms from ``first`` on, in the order xx, xy, yy, x, y, 1, by LDLᵀ.
+
+    With the constant last, its row of the inverse matrix, the ``solution`` by which the samples are
+    combined to the value at the texel, takes no forward substitution. Returns by how much the fit
+    lessens the weighted sum of squares; NaN where the matrix is all but singular.
+    """
+    explained = 0.0
+    for i in range(first, QUADRATIC):
+        for j in range(first, i):
+            total = moments[i, j]
+            for k in range(first, j):
+                total -= factor[i, k] * factor[j, k]
+            # Rows of L times D for now.
+            factor[i, j] = total
+        pivot = moments[i, i]
+        right = heights[i]
+        for j in range(first, i):
+            scaled = factor[i, j] * factor[j, j]
+            pivot -= scaled * factor[i, j]
+            right -= scaled * solution[j]
+            factor[i, j] = scaled
+        if not pivot > _SMALLEST_PIVOT * moments[5, 5]:
+            return math.nan
+        factor[i, i] = 1.0 / pivot
+        solution[i] = right
+        explained += right * right * factor[i, i]
+    solution[5] = factor[5, 5]
+    for i in range(4, first - 1, -1):
+        total = 0.0
+        for k in range(i + 1, QUADRATIC):
+            total -= factor[k, i] * solution[k]
+        solution[i] = total
+    for i in range(first):
         solution[i] = 0.0
+    return explained
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc"})
 def _combine_samples(
     starts: NDArray[np.int64],
+    column: NDArray[np.float64],
     samples: NDArray[np.float32],
     window: NDArray[np.int64],
     shape: tuple[int, int],
@@ -258,25 +266,24 @@ def _combine_samples(
     down = len(window) - 1
     for i in range(max(0, row - down), min(rows - 1, row + down) + 1):
         across = window[abs(i - row)]
-        j = max(0, col - across)
+        first = starts[i * cols + max(0, col - across)]
         last = starts[i * cols + min(cols - 1, col + across) + 1]
-        for n in range(starts[i * cols + j], last):
-            while n >= starts[i * cols + j + 1]:
-                j += 1
-            x = (samples[n, 0] + (j - col)) * per_x
-            y = (samples[n, 1] + (i - row)) * per_y
+        for n in range(first, last):
+            x = (column[n] - col) * per_x
+            y = (samples[n, 0] + (i - row)) * per_y
             k = 1.0 - x * x - y * y
             if k <= 0.0:
                 continue
-            share = k * k * (s0 + x * (s1 + s3 * x + s4 * y) + y * (s2 + s5 * y))
-            variance += share * share * samples[n, 3]
-            error += share * samples[n, 4]
+            share = k * k * (s5 + x * (s3 + s0 * x + s1 * y) + y * (s4 + s2 * y))
+            variance += share * share * samples[n, 2]
+            error += share * samples[n, 3]
     return variance, error
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def fit_local_polynomials(
     starts: NDArray[np.int64],
+    column: NDArray[np.float64],
     samples: NDArray[np.float32],
     window: NDArray[np.int64],
     shape: tuple[int, int],
@@ -311,35 +318,34 @@ def fit_local_polynomials(
         moments = np.zeros((QUADRATIC, QUADRATIC))
         factor = np.zeros((QUADRATIC, QUADRATIC))
         heights = np.zeros(QUADRATIC)
-        surface = np.zeros(QUADRATIC)
         solution = np.zeros(QUADRATIC)
-        unit = np.zeros(QUADRATIC)
-        unit[0] = 1.0
         for col in range(cols):
             texel = (row, col)
             count, surrounded, of_mean, squares, plain = _gather_moments(
-                starts, samples, window, shape, texel, half_axes, reach, moments, heights
+                starts, column, samples, window, shape, texel, half_axes, reach, moments, heights
             )
             if not surrounded:
                 continue
             for terms in (QUADRATIC, PLANE):
-                if count < terms or not _factorise(moments, terms, factor):
+                first = QUADRATIC - terms
+                if count < terms:
                     continue
-                _solve(factor, terms, unit, solution)
+                explained = _solve_quadratic(moments, first, heights, factor, solution)
+                if math.isnan(explained):
+                    continue
                 spread, drawn = _combine_samples(
-                    starts, samples, window, shape, texel, half_axes, solution
+                    starts, column, samples, window, shape, texel, half_axes, solution
                 )
                 if not spread <= magnification * of_mean:
                     continue
-                _solve(factor, terms, heights, surface)
-                left = squares
-                for i in range(terms):
-                    left -= surface[i] * heights[i]
-                height[row, col] = surface[0]
+                value = 0.0
+                for i in range(first, QUADRATIC):
+                    value += solution[i] * heights[i]
+                height[row, col] = value
                 variance[row, col] = spread
                 error[row, col] = drawn / math.sqrt(spread)
                 fitted[row, col] = terms
-                if left > scatter * plain:
-                    unresolved[row, col] = left / moments[0, 0]
+                if squares - explained > scatter * plain:
+                    unresolved[row, col] = (squares - explained) / moments[5, 5]
                 break
     return height, variance, unresolved, error, fitted
