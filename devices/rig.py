@@ -205,6 +205,13 @@ class Rig:
         the part of the panel that the camera sees. That is done for the first light of a recording
         too.
 
+        Parameters
+        ----------
+        exposure_s : float
+            Exposure asked for.
+        deadline : Deadline, optional
+            When every frame that this takes must be there; by default, what the camera allows each.
+
         Raises
         ------
         DeviceError
@@ -213,7 +220,7 @@ class Rig:
         """
         frame, told = self._capture(exposure_s, deadline)
         if self._prove_light and not told:
-            self._prove(frame, exposure_s)
+            self._prove(frame, exposure_s, deadline)
         return frame
 
     def make_safe(self) -> None:
@@ -291,7 +298,7 @@ class Rig:
         )
         return frame, told
 
-    def _prove(self, frame: Frame, exposure_s: float) -> None:
+    def _prove(self, frame: Frame, exposure_s: float, deadline: Deadline | None) -> None:
         """Have the light seen to go and to come back as it was when a frame was taken.
 
         The frame itself stays the one that counts, so that a recording is the same wherever it was
@@ -301,9 +308,9 @@ class Rig:
         assert order is not None
         lamp_before = order.light_before is not None and order.light_before.lamp_on
         if self._showing is not None and not order.knows_darkness(self._light.camera_position):
-            self._take_darkness(self._showing, exposure_s)
+            self._take_darkness(self._showing, exposure_s, deadline)
         for exposure in telling_exposures(frame, exposure_s, self.camera.capabilities):
-            changes = self._changes_of_light(exposure, lamp_before=lamp_before)
+            changes = self._changes_of_light(exposure, lamp_before=lamp_before, deadline=deadline)
             again = next((back for away, back in changes if self._differ(away, back)), None)
             if again is not None:
                 break
@@ -314,7 +321,7 @@ class Rig:
                 "projector and lamp, and resume"
             )
         if again.exposure_asked_s != exposure_s:
-            again, _ = self._capture(exposure_s, None)
+            again, _ = self._capture(exposure_s, deadline)
         if self._differ(again, frame):
             raise FrameOrderError(
                 f"frame of {frame.subject} showed the light before it: the device is slower than "
@@ -322,35 +329,37 @@ class Rig:
             )
         order.accept_light()
 
-    def _take_darkness(self, showing: Projection, exposure_s: float) -> None:
+    def _take_darkness(
+        self, showing: Projection, exposure_s: float, deadline: Deadline | None
+    ) -> None:
         """A frame without light, which later ones are held against; then all is as it was."""
         lamp_on = self.subject.lamp_on
         self.blank()
         if lamp_on:
             self.switch_lamp(False)
-        self._capture(exposure_s, None)
+        self._capture(exposure_s, deadline)
         if lamp_on:
             self.switch_lamp(True)
         self.show(showing)
 
     def _changes_of_light(
-        self, exposure_s: float, *, lamp_before: bool
+        self, exposure_s: float, *, lamp_before: bool, deadline: Deadline | None
     ) -> Iterator[tuple[Frame, Frame]]:
         """Pairs of a frame under other light than now, and one under the light as it is now."""
         showing, lamp_on = self._showing, self.subject.lamp_on
         if showing is None and (lamp_on or lamp_before or self._projector is None):
             self.switch_lamp(not lamp_on)
-            away, _ = self._capture(exposure_s, None)
+            away, _ = self._capture(exposure_s, deadline)
             self.switch_lamp(lamp_on)
-            yield away, self._capture(exposure_s, None)[0]
+            yield away, self._capture(exposure_s, deadline)[0]
             return
         for _ in self._show_others(showing):
-            away, _ = self._capture(exposure_s, None)
+            away, _ = self._capture(exposure_s, deadline)
             if showing is None:
                 self.blank()
             else:
                 self.show(showing)
-            yield away, self._capture(exposure_s, None)[0]
+            yield away, self._capture(exposure_s, deadline)[0]
 
     def _show_others(self, showing: Projection | None) -> Iterator[None]:
         """Show what cannot be taken for ``showing``, nor for what may have been shown before it."""

@@ -173,6 +173,22 @@ def test_a_missed_deadline_is_a_device_error(rig):
         rig.camera.capture(0.03, deadline=Deadline.after(-1))
 
 
+def test_the_deadline_of_a_frame_holds_for_the_proof_of_its_light_too(rig):
+    given = []
+
+    class Camera(Wrapped):
+        def capture(self, exposure_s, *, deadline=None):
+            given.append(deadline)
+            return self._device.capture(exposure_s)
+
+    one = Rig(Camera(rig.camera), rig.projector)
+    one.show(Projection("white", np.full((570, 912), 255, np.uint8)))
+    deadline = Deadline.after(600)
+    one.capture(0.03, deadline=deadline)
+    assert len(given) > 2
+    assert set(given) == {deadline}
+
+
 def test_devices_refuse_to_work_once_closed():
     rig = demo_rig(seed=3, camera_width=40)
     rig.camera.close()

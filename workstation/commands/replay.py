@@ -32,7 +32,7 @@ def replay(
     from acquisition.atomic_files import folder_in_progress
     from acquisition.errors import SessionError
     from acquisition.recorded_frames import open_for_replay, recording_of, rig_toml
-    from acquisition.scan import scan
+    from acquisition.recording import record_plan
     from acquisition.session import Session
     from acquisition.session_writer import SessionWriter
     from devices.replay import replay_rig
@@ -41,6 +41,11 @@ def replay(
 
     if out.exists():
         raise SessionError(f"{out} exists already; choose another place, or remove it first")
+    if session.resolve() in out.resolve().parents:
+        raise SessionError(
+            f"{out} lies inside {session}, which would not be what was recorded any more; choose "
+            "another place"
+        )
     source = open_for_replay(session)
     recording = recording_of(source)
     calibration = source.calibration_folder
@@ -52,7 +57,13 @@ def replay(
         with SessionWriter.create(
             folder, source.plan, rig_toml=rig_toml(source), calibration=calibration
         ) as writer:
-            scan(writer, rig, advance=lambda _: steps.advance())
+            record_plan(
+                writer,
+                rig,
+                advance=lambda _: steps.advance(),
+                confirm=lambda request: True,
+                wait=lambda seconds: None,
+            )
         changed = _changed_files(source, Session.open(folder))
         if changed:
             raise SessionError(
