@@ -8,12 +8,14 @@ from its parent closes or brings no sign of life.
 from __future__ import annotations
 
 import ctypes
+import errno
 import itertools
 import json
 import mmap
 import os
 import select
 import signal
+import socket
 import statistics
 import sys
 import time
@@ -265,6 +267,28 @@ def _open_window(pyglet: Any, request: dict[str, Any]) -> tuple[_Window, Screen]
     raise DeviceError(f"no screen {request['screen']!r}; there are: {names or 'none'}")
 
 
+def _take_screen(name: str) -> socket.socket:
+    """Hold a screen for as long as this process lives: a second window would cover the first.
+
+    Raises
+    ------
+    DeviceError
+        Another program of this computer projects on it.
+    """
+    held = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        # A name without a file, which the system takes back however the process ends.
+        held.bind(f"\0impasto projects on {os.environ.get('DISPLAY')} {name}"[:100])
+    except OSError as error:
+        held.close()
+        if error.errno != errno.EADDRINUSE:
+            raise
+        raise DeviceError(
+            f"another program projects on screen {name}; end it, or close its projector, first"
+        ) from None
+    return held
+
+
 def _frame_period(window: _Window, screen: Screen) -> tuple[float, bool]:
     """Time of a frame, seconds, and whether flips wait for it."""
     measured = window.time_flips()
@@ -314,6 +338,11 @@ def _run(request: dict[str, Any], pipe: _Pipe) -> None:
     if request.get("list"):
         pipe.answer(screens=[as_fields(screen) for screen, _ in read_screens(pyglet)])
         return
+    with _take_screen(request["screen"]):
+        _project(pyglet, request, pipe)
+
+
+def _project(pyglet: Any, request: dict[str, Any], pipe: _Pipe) -> None:
     window, screen = _open_window(pyglet, request)
     try:
         window.check_pixels()

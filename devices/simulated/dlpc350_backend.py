@@ -185,7 +185,7 @@ class SimulatedUsbBackend(usb.backend.IBackend):
         return 1
 
     def claim_interface(self, dev_handle: int, intf: int) -> None:
-        if self.claim_error is not None or self.kernel_driver:
+        if self.claim_error is not None or self.kernel_driver or self.claimed:
             raise _usb_error(self.claim_error or errno.EBUSY)
         self.claimed = True
 

@@ -357,6 +357,7 @@ def test_a_board_that_chatters_does_not_hold_anybody_up(backend, monkeypatch):
     monkeypatch.setattr(backend, "intr_read", chatter)
     with pytest.raises(DeviceTimeoutError, match="answers old questions only"):
         link.write(Command.LED_ENABLE, b"\0", deadline=soon())
+    link.close()
     with pytest.raises(DeviceError, match="without being asked"):
         open_link(backend)
 
@@ -421,6 +422,13 @@ def test_a_board_that_another_program_holds_is_said_to_be_in_use():
     with pytest.raises(DeviceError, match="in use by another program"):
         flash_settings().open(backend=backend)
     assert backend.kernel_driver
+
+
+def test_a_board_is_opened_once_at_a_time(projector, backend):
+    with pytest.raises(DeviceError, match="in use by another program"):
+        flash_settings().open(backend=backend)
+    projector.close()
+    flash_settings().open(backend=backend).close()
 
 
 def test_no_board_and_another_address_are_said():

@@ -274,6 +274,16 @@ def test_flips_that_wait_for_nothing_are_refused_where_vsync_is_required(display
     assert display.is_black()
 
 
+def test_a_screen_that_is_projected_on_already_is_refused_until_it_is_let_go(projector, display):
+    picture = random_picture(3)
+    projector.show(picture)
+    with pytest.raises(DeviceError, match="another program projects on screen"):
+        HdmiProjector(settings(display))
+    assert np.array_equal(display.picture()[..., 1], picture.image)
+    projector.close()
+    HdmiProjector(settings(display)).close()
+
+
 def test_without_a_display_the_message_says_what_to_set(monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     with pytest.raises(DeviceError, match="no DISPLAY is set"):
