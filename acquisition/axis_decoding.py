@@ -25,7 +25,7 @@ from acquisition.fringe_kernels import (
     subtract_series,
 )
 from acquisition.fringe_sampling import BAD_LIGHT, FringeReport, FringeSampler
-from acquisition.fringe_statistics import systematic_disagreement
+from acquisition.fringe_statistics import disagreement_limit, systematic_disagreement
 from acquisition.fringes import Fringe
 from acquisition.gray_decoding import GrayCode, cell_coordinates, needs_level, read_words
 from acquisition.harmonics import error_orders, series_of_coarse
@@ -212,7 +212,7 @@ class FringeDecoder:
             apart, variance = self._disagreement(fringe, sampled, state)
             half_width = systematic_disagreement(apart, variance, largest=period / 2)
             reach = period / 2 - half_width
-            mixed = certainty_sigmas(self.sampler.alarm)
+            mixed = disagreement_limit(fringe, self.sampler.alarm)
         return UnwrapStep(
             float(period),
             *(

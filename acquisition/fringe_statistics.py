@@ -21,9 +21,13 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from acquisition.fringes import Fringe
+from acquisition.unwrapping import certainty_sigmas
 
 # The noise model itself is taken to be known to so much.
 _NOISE_MARGIN = 1.05
+# With three steps the samples that are wrong also tell the variance by photon noise: when they err
+# by four standard deviations they understate one by up to this.
+_THREE_STEPS_MARGIN = 1.1
 # What float32 leaves of a squared modulation.
 _ROUNDING = 4e-6
 _LEAST_PIXELS = 50
@@ -88,6 +92,12 @@ def residual_harmonics(
     excess = squares - _median_of_chi_square(degrees_of_freedom) * noise_variance
     typical = max(0.0, float(np.median(excess / modulation**2)))
     return float(np.sqrt(2 * typical + _ROUNDING))
+
+
+def disagreement_limit(fringe: Fringe, false_alarm: float) -> float:
+    """Standard deviations by which noise makes two fringes disagree with a probability."""
+    sigmas = np.sqrt(_NOISE_MARGIN) * certainty_sigmas(false_alarm)
+    return float(sigmas * (_THREE_STEPS_MARGIN if fringe.steps == 3 else 1.0))
 
 
 def systematic_disagreement(

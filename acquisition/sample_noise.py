@@ -19,6 +19,10 @@ from acquisition.frame_files import Samples
 from acquisition.fringes import Fringe
 
 QUANTISATION_VARIANCE = 1 / 12
+# Standard error of a variance from the median of squares, over that from their mean.
+_MEDIAN_EXCESS = 1.3
+# Standard errors of a slope that is told from none.
+_SIGNIFICANT = 3.0
 # Samples that an estimate needs.
 _ENOUGH = 100
 
@@ -84,16 +88,18 @@ def fit_sample_noise(
         return SampleNoise(max(floor, float(np.median(variances))), 0.0, origin)
     # Relative errors of the bins are alike, so weight by the inverse of the fitted variance.
     expected = np.full_like(variances, np.median(variances))
+    design = np.stack([np.ones_like(levels), levels], axis=1)
     for _ in range(4):
         weight = 1 / np.maximum(expected, floor)
-        design = np.stack([np.ones_like(levels), levels], axis=1)
-        read, gain = np.linalg.lstsq(
-            design * weight[:, np.newaxis], variances * weight, rcond=None
-        )[0]
+        weighted = design * weight[:, np.newaxis]
+        read, gain = np.linalg.lstsq(weighted, variances * weight, rcond=None)[0]
         expected = design @ [read, gain]
-    if gain < 0:
-        read, gain = float(np.median(variances)), 0.0
-    elif read < floor:
+    scatter = _MEDIAN_EXCESS * np.sqrt(2 / (degrees_of_freedom * len(level) / len(groups)))
+    gain_error = scatter * np.sqrt(np.linalg.pinv(weighted.T @ weighted)[1, 1])
+    if gain < _SIGNIFICANT * gain_error:
+        # Over levels this much alike a slope would be noise, and would spread the variances.
+        read, gain = float(np.average(variances, weights=weight)), 0.0
+    if gain > 0 and read < floor:
         read = floor
         gain = float(np.median(np.maximum(variances - floor, 0) / np.maximum(levels, 1e-6)))
     return SampleNoise(max(floor, float(read)), float(gain), origin)

@@ -142,8 +142,13 @@ def check_orders(
     x, y = first.coordinate, second.coordinate
     halves = (first.period_px / 2, second.period_px / 2)
     wrong = np.zeros(x.shape, np.bool_)
-    along, down = kernels.rows_with_jumps(x, y, *halves)
     coordinates = {name: axes[name].coordinate for name in names}
+    slopes = np.array([_usual_slope(x), _usual_slope(y)])
+    if (slopes > _SLOPE_ALLOWANCE * np.array(halves) / 2).any():
+        # Periods of four pixels and less cannot be followed from pixel to pixel.
+        wrong |= uncertain != 0 if uncertain is not None else False
+        return OrderCheck(coordinates, wrong, 0, int(wrong.sum()))
+    along, down = kernels.rows_with_jumps(x, y, *halves)
     if not along.any() and not down.any() and x.size > small:
         return OrderCheck(coordinates, wrong, 0, 0)
     labels = np.empty(x.shape, np.int32)
@@ -158,7 +163,7 @@ def check_orders(
         first.variance,
         second.variance,
         np.array([first.period_px, second.period_px]),
-        np.array([_usual_slope(x), _usual_slope(y)]),
+        slopes,
         along,
         down,
         labels,

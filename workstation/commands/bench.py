@@ -12,6 +12,7 @@ import typer
 class Benchmark(StrEnum):
     """The benchmarks there are: modules of :mod:`workstation.benchmarks`."""
 
+    DECODE = "decode"
     SURFACE = "surface"
     REFLECTANCE = "reflectance"
     DEMO = "demo"
