@@ -25,10 +25,11 @@ from calibration.lens import rt_from_matrix
 from fitting.canvas_kernels import find_smooth, heights_above_plane
 from fitting.canvas_region import erode_outline, find_region, outline_pixels
 from fitting.errors import FittingError
-from fitting.range_image import RangeImage
+from fitting.range_image import RangeImage, neighbour_steps
 
 # Points from which planes and medians are taken, at most; more do not sharpen them.
 _POINTS = 200_000
+_PLANE_POINTS = 50_000
 _FEWEST = 10
 
 
@@ -173,15 +174,9 @@ def _point_spacing(
 ) -> float:
     """Median distance on the plane of neighbours, along rows or columns, whichever is less."""
     found = []
-    for down, right in ((0, 1), (1, 0)):
-        rows, cols = valid.shape
-        both = valid[: rows - down, : cols - right] & valid[down:, right:]
-        row, col = np.nonzero(both)
-        thin = slice(None, None, max(1, len(row) // 50_000))
-        row, col = row[thin], col[thin]
-        step = points[row + down, col + right] - points[row, col]
+    for step in neighbour_steps(points, valid):
         flat = step - (step @ normal)[:, np.newaxis] * normal
-        found.append(float(np.median(np.linalg.norm(flat, axis=1))) if len(row) else np.nan)
+        found.append(np.median(np.linalg.norm(flat, axis=1)) if len(step) else np.nan)
     if np.isnan(found).all() or not np.nanmin(found) > 0:
         raise FittingError("no two neighbouring pixels were measured: there is no surface to find")
     return float(np.nanmin(found))
@@ -198,7 +193,7 @@ def _plane(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np
 
 def _trimmed_plane(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """PCA plane of the bulk: points far off it, by the robust spread, are left out in turn."""
-    thin = points
+    thin = points[:: max(1, len(points) // _PLANE_POINTS)]
     near = np.median(thin, axis=0)
     distance = np.linalg.norm(thin - near, axis=1)
     thin = thin[distance <= 4 * np.median(distance) + 1e-12]

@@ -99,7 +99,7 @@ def read_copy(path: Path) -> DigitalCopy:
             float(header["pitch_mm"]),
             (float(header["origin_mm"][0]), float(header["origin_mm"][1])),
             np.array(header["rt_cam_canvas"], dtype=np.float64),
-            # Copies of earlier versions lack these two.
+            # Copies of earlier versions lack these.
             _array_or_none(header.get("correlation")),
             float(header.get("unresolved_mm", 0.0)),
         )
@@ -116,6 +116,7 @@ def read_copy(path: Path) -> DigitalCopy:
                     np.array(boxes["h_max"], np.float32),
                     np.array(boxes["peak"], np.int32).reshape(count, 2),
                 ),
+                header.get("proposed_delta0_mm"),
             ),
             sigma["slope"].astype(np.float32),
             _read_reflectance(path) if header["reflectance"] else None,
@@ -140,6 +141,7 @@ def _header(copy: DigitalCopy) -> dict[str, Any]:
         "correlation": None if field.correlation is None else field.correlation.tolist(),
         "unresolved_mm": field.unresolved_mm,
         "delta0_mm": relief.delta0_mm,
+        "proposed_delta0_mm": relief.proposed_delta0_mm,
         "H_mm": field.height_range_mm[1],
         "cell": relief.cell,
         "boxes": {

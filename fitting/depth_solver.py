@@ -43,6 +43,27 @@ class PanelSightings:
     def of(cls, correspondence: CorrespondenceMap, camera: Lens) -> PanelSightings:
         """What every pixel of a correspondence map saw, in the order of the picture."""
         slopes = camera.pixel_slopes(origin=correspondence.origin, shape=correspondence.shape)
+        return cls._seen(slopes.reshape(-1, 2), correspondence, slice(None))
+
+    @classmethod
+    def of_rays(
+        cls,
+        slopes: NDArray[np.float64],
+        correspondence: CorrespondenceMap,
+        index: NDArray[np.intp],
+    ) -> PanelSightings:
+        """What some pixels saw, by their index in the picture, along rays (n, 2) of their own."""
+        slopes = np.ascontiguousarray(slopes)
+        slopes.setflags(write=False)
+        return cls._seen(slopes, correspondence, index)
+
+    @classmethod
+    def _seen(
+        cls,
+        slopes: NDArray[np.float64],
+        correspondence: CorrespondenceMap,
+        which: NDArray[np.intp] | slice,
+    ) -> PanelSightings:
         coordinates, variances = [], []
         for axis in AXES:
             decoded = correspondence.axes.get(axis)
@@ -50,13 +71,9 @@ class PanelSightings:
                 coordinates.append(np.zeros(0))
                 variances.append(np.zeros(0, np.float32))
             else:
-                coordinates.append(_flat(decoded.coordinate, np.float64))
-                variances.append(_flat(decoded.variance, np.float32))
-        return cls(
-            slopes.reshape(-1, 2),
-            (coordinates[0], coordinates[1]),
-            (variances[0], variances[1]),
-        )
+                coordinates.append(_flat(decoded.coordinate, np.float64)[which])
+                variances.append(_flat(decoded.variance, np.float32)[which])
+        return cls(slopes, (coordinates[0], coordinates[1]), (variances[0], variances[1]))
 
     def take(self, index: NDArray[np.intp]) -> PanelSightings:
         """The sightings of some pixels."""

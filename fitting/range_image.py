@@ -188,3 +188,30 @@ def _resolve(
     depth, variance, misfit = solved.depth.copy(), solved.variance.copy(), solved.misfit.copy()
     depth[off], variance[off], misfit[off] = again.depth, again.variance, again.misfit
     return Depths(depth, variance, misfit)
+
+
+def neighbour_steps(
+    points: NDArray[np.float64], mask: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Steps from points to their neighbours, on a regular choice of some fifty thousand.
+
+    Parameters
+    ----------
+    points : (rows, cols, 3) array
+    mask : (rows, cols) bool array
+        Points to regard.
+
+    Returns
+    -------
+    down, right : (n, 3) arrays
+        To the next row and to the next column.
+    """
+    rows = np.flatnonzero(mask[:-1].any(axis=1))
+    rows = rows[:: max(1, int(mask.sum()) // 50_000)]
+    found = []
+    for down, right in ((1, 0), (0, 1)):
+        cols = mask.shape[1] - right
+        row, col = np.nonzero(mask[rows, :cols] & mask[rows + down, right:])
+        row = rows[row]
+        found.append(points[row + down, col + right] - points[row, col])
+    return found[0], found[1]

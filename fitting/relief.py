@@ -54,9 +54,13 @@ class Relief:
         Mask M_v after specks were dropped.
     boxes : ReliefBoxes
         The boxes.
+    proposed_delta0_mm : float or None
+        What the histogram of heights proposes for δ0, whether it was taken or not; None where it
+        is not known.
     """
 
     delta0_mm: float
     cell: int
     significant: NDArray[np.bool_]
     boxes: ReliefBoxes
+    proposed_delta0_mm: float | None = None

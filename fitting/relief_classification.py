@@ -1,5 +1,9 @@
 """Relief classification (paper section 4.3): δ0, the mask of significant relief, and its boxes.
 
+δ0 is given by hand, as in the paper, or proposed from the histogram of heights: the threshold that
+parts ground and relief best in Otsu's sense (IEEE Trans. Syst. Man Cybern. 9, 1979), kept to the 20
+to 40 % of H that the paper uses. Both are reported.
+
 The paper thresholds the heights and drops small components against noise. On thin relief the
 noise of single texels reaches the threshold itself, so here the heights are averaged, for the
 classification only, until their predicted noise is small against δ0; on a relief well above its
@@ -18,6 +22,8 @@ from fitting.errors import FittingError
 from fitting.height_field import HeightField
 from fitting.relief import Relief, ReliefBoxes
 
+_BINS = 256
+
 
 @dataclass(frozen=True, kw_only=True)
 class ReliefOptions:
@@ -26,9 +32,9 @@ class ReliefOptions:
     Attributes
     ----------
     delta0_mm : float or None
-        δ0 by hand, above the canvas plane; None takes ``delta0_share`` of H.
-    delta0_share : float
-        Share of H; the paper uses 0.2 to 0.4.
+        δ0 by hand, above the canvas plane; None takes what the histogram proposes.
+    share_of_height : (float, float)
+        Shares of H between which a proposal is kept; the paper's are 0.2 and 0.4.
     cell : int
         Edge n of a cell in texels.
     smallest_mm2 : float
@@ -38,7 +44,7 @@ class ReliefOptions:
     """
 
     delta0_mm: float | None = None
-    delta0_share: float = 0.3
+    share_of_height: tuple[float, float] = (0.2, 0.4)
     cell: int = 20
     smallest_mm2: float = 1.0
     noise_share: float = 0.2
@@ -68,37 +74,71 @@ def classify_relief(field: HeightField, options: ReliefOptions | None = None) ->
         raise FittingError(f"a cell has at least one texel, not {options.cell}")
     if options.delta0_mm is not None and not np.isfinite(options.delta0_mm):
         raise FittingError(f"δ0 must be a finite height, not {options.delta0_mm} mm")
-    delta0, smoothed = _threshold(field, options)
+    delta0, proposed, smoothed = _threshold(field, options)
     valid = field.mask & (smoothed > delta0)
     least = max(1, round(options.smallest_mm2 / field.pitch_mm**2))
     _, labels, stats, _ = cv2.connectedComponentsWithStats(valid.astype(np.uint8), connectivity=8)
     large = stats[:, cv2.CC_STAT_AREA] >= least
     large[0] = False
     significant = large[labels]
-    return Relief(float(delta0), options.cell, significant, _boxes(field, significant, options))
+    boxes = _boxes(field, significant, options)
+    return Relief(delta0, options.cell, significant, boxes, proposed)
 
 
-def _threshold(field: HeightField, options: ReliefOptions) -> tuple[float, NDArray[np.float32]]:
-    """δ0, and heights averaged until their noise is small against it."""
+def _threshold(
+    field: HeightField, options: ReliefOptions
+) -> tuple[float, float, NDArray[np.float32]]:
+    """δ0, what is proposed for it, and heights averaged until their noise is small against it."""
     sigma = float(np.sqrt(np.median(field.variance[field.mask])))
     precise = field.mask & (field.variance <= 4 * sigma**2)
-    delta0, heights = 0.0, field.height
+    # Errors that neighbours share average out more slowly.
+    shared = 1.0 if field.correlation is None else max(float(field.correlation.sum()), 1.0)
+    delta0, proposed, heights = 0.0, 0.0, field.height
     for blur in (0.0, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0):  # Gaussian width in texels
         if blur > max(options.cell / 2, 1.0):
             break
-        # White noise of σ averaged by a Gaussian of width s keeps σ / (2 √π s).
         noise = sigma
         if blur > 0:
             heights = _precision_blur(field, blur)
-            noise = sigma / (2 * np.sqrt(np.pi) * blur)
-        delta0 = (
-            options.delta0_mm
-            if options.delta0_mm is not None
-            else (options.delta0_share * max(_highest(heights[precise]), 0.0))
-        )
+            # White noise of σ averaged by a Gaussian of width s keeps σ / (2 √π s).
+            noise = sigma * min(1.0, np.sqrt(shared) / (2 * np.sqrt(np.pi) * blur))
+        proposed = propose_threshold(heights[precise], options.share_of_height)
+        delta0 = proposed if options.delta0_mm is None else options.delta0_mm
         if noise <= options.noise_share * abs(delta0):
             break
-    return float(delta0), heights
+    return float(delta0), proposed, heights
+
+
+def propose_threshold(
+    heights: NDArray[np.floating], share_of_height: tuple[float, float] = (0.2, 0.4)
+) -> float:
+    """δ0 from the histogram of heights: Otsu's threshold, kept within shares of H.
+
+    Parameters
+    ----------
+    heights : (n,) array
+        Heights above the canvas plane, mm.
+    share_of_height : (float, float)
+        Least and greatest share of the greatest height H.
+
+    Returns
+    -------
+    float
+        0 where nothing rises above the plane.
+    """
+    highest = _highest(heights) if len(heights) else 0.0
+    if not highest > 0:
+        return 0.0
+    count, edges = np.histogram(
+        heights, bins=_BINS, range=(float(np.quantile(heights, 0.001)), highest)
+    )
+    below = np.cumsum(count)[:-1]
+    moment = np.cumsum(count * 0.5 * (edges[1:] + edges[:-1]))
+    total, whole = below[-1] + count[-1], moment[-1]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        between = (whole * below / total - moment[:-1]) ** 2 / (below * (total - below))
+    otsu = edges[1 + int(np.argmax(np.nan_to_num(between)))]
+    return float(np.clip(otsu, share_of_height[0] * highest, share_of_height[1] * highest))
 
 
 def _highest(measured: NDArray[np.float32]) -> float:

@@ -23,15 +23,15 @@ from calibration.lens import rotation
 from fitting.canvas import Canvas
 from fitting.errors import FittingError
 from fitting.height_field import CORRELATION_REACH, HeightField
-from fitting.range_image import RangeImage
+from fitting.range_image import RangeImage, neighbour_steps
 from fitting.resampling_kernels import fit_local_polynomials, locate_samples, sort_into_cells
 
 # Radius of the biweight in pitches or spacings. On paint with brush marks, noise and what the
 # polynomial cuts off add up to least near this.
 _RADIUS = 2.0
-# Each quadrant around a texel must have a sample within this, in radii: 1.5 spacings. Beyond that
+# Each quadrant around a texel must have a sample within this, in pitches or spacings. Beyond that
 # lie steps that the camera or the projector does not see.
-_REACH = 0.75
+_REACH = 1.5
 # Mean square of the samples' scatter, in their own variances, that noise explains with near
 # certainty (on average it makes 0.4), and the share of more than that by which heights err. Found
 # on painted strokes, where they bring the standardised errors to a spread of one.
@@ -45,7 +45,11 @@ _CORRELATED_ROWS = 400
 
 
 def resample_heights(
-    range_image: RangeImage, canvas: Canvas, *, pitch_mm: float | None = None
+    range_image: RangeImage,
+    canvas: Canvas,
+    *,
+    pitch_mm: float | None = None,
+    footprint_mm: float | None = None,
 ) -> HeightField:
     """Resample a range image onto a canvas-aligned grid.
 
@@ -57,6 +61,9 @@ def resample_heights(
         Mask and pose.
     pitch_mm : float, optional
         Distance of the texels; by default the median spacing of the points.
+    footprint_mm : float, optional
+        Radius of the biweight, where more smoothing is wanted than the pitch and the points'
+        spacing need; see :func:`footprint_radius_mm`.
 
     Returns
     -------
@@ -65,7 +72,8 @@ def resample_heights(
     Raises
     ------
     FittingError
-        The pitch asked for is not positive, or makes a grid of more than 16384 texels a side.
+        The pitch or footprint asked for is not positive, or the pitch makes a grid of more than
+        16384 texels a side.
     """
     spacing = point_spacing_mm(range_image, canvas)
     pitch = float(np.sqrt(spacing[0] * spacing[1])) if pitch_mm is None else float(pitch_mm)
@@ -91,7 +99,8 @@ def resample_heights(
         place, heights, variance, canvas.mask, x0, y0, pitch, rows, cols, unit, noise
     )
     del place, heights, variance
-    half_axes = (_RADIUS * max(1.0, spacing[0] / pitch), _RADIUS * max(1.0, spacing[1] / pitch))
+    radius = footprint_radius_mm(spacing, pitch, footprint_mm)
+    half_axes = (radius[0] / pitch, radius[1] / pitch)
     height, texel_variance, unresolved, error, fitted = fit_local_polynomials(
         starts,
         column,
@@ -99,7 +108,7 @@ def resample_heights(
         _window(half_axes),
         (rows, cols),
         half_axes,
-        _REACH,
+        _REACH * max(pitch, *spacing) / max(radius),
         _LARGEST_MAGNIFICATION,
         _SCATTER * unit,
     )
@@ -140,25 +149,32 @@ def canvas_samples(
     )
 
 
+def footprint_radius_mm(
+    spacing_mm: tuple[float, float], pitch_mm: float, footprint_mm: float | None = None
+) -> tuple[float, float]:
+    """Radius along X and Y of the biweight under which heights are fitted.
+
+    Twice the pitch or the points' spacing, whichever is larger, or what was asked for if that is
+    larger still. The heights' resolution, the full width at half maximum of what a point makes of
+    the surface, is about three quarters of the radius.
+    """
+    if footprint_mm is not None and not (np.isfinite(footprint_mm) and footprint_mm > 0):
+        raise FittingError(f"the footprint must be positive, not {footprint_mm} mm")
+    x, y = (max(_RADIUS * max(pitch_mm, s), footprint_mm or 0.0) for s in spacing_mm)
+    return x, y
+
+
 def point_spacing_mm(range_image: RangeImage, canvas: Canvas) -> tuple[float, float]:
     """Median distance of neighbouring points along the canvas's X and Y."""
     axes = rotation(canvas.rt_cam_canvas)[:, :2]
-    steps = []
-    for axis in (0, 1):
-        both = canvas.mask & np.roll(canvas.mask, -1, axis=axis)
-        index = [slice(None)] * 2
-        index[axis] = slice(0, -1)
-        both[tuple(slice(-1, None) if a == axis else slice(None) for a in (0, 1))] = False
-        rows, cols = np.nonzero(both)
-        thin = slice(None, None, max(1, len(rows) // 50_000))
-        rows, cols = rows[thin], cols[thin]
-        ahead = (rows + 1, cols) if axis == 0 else (rows, cols + 1)
-        step = (range_image.points[ahead] - range_image.points[rows, cols]) @ axes
-        steps.append(np.median(np.abs(step), axis=0))
-    if not all(np.isfinite(step).all() for step in steps):
-        raise FittingError("no two neighbouring pixels of the canvas were measured")
+    steps = [
+        np.median(np.abs(step @ axes), axis=0) if len(step) else np.full(2, np.nan)
+        for step in neighbour_steps(range_image.points, canvas.mask)
+    ]
     # Each canvas axis is crossed by whichever of rows and columns runs along it.
     spacing = np.maximum(steps[0], steps[1])
+    if not (np.isfinite(spacing).all() and (spacing > 0).all()):
+        raise FittingError("no two neighbouring pixels of the canvas were measured")
     return float(spacing[0]), float(spacing[1])
 
 

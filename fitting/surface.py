@@ -8,12 +8,14 @@ import numpy as np
 
 from acquisition.correspondence import CorrespondenceMap
 from calibration.rig_geometry import RigGeometry
+from fitting.calibration_uncertainty import CalibrationUncertainty, propagate_calibration
 from fitting.canvas import Canvas, CanvasOptions, extract_canvas
+from fitting.canvas_shape import CanvasShape, measure_shape
 from fitting.digital_copy import DigitalCopy
 from fitting.neighbour_kernels import triangle_normals
 from fitting.range_image import RangeImage, RangeOptions, triangulate
 from fitting.relief_classification import ReliefOptions, classify_relief
-from fitting.resampling import resample_heights
+from fitting.resampling import footprint_radius_mm, point_spacing_mm, resample_heights
 from fitting.surface_noise import SurfaceNoise, measure_surface_noise, slope_error_ratio
 
 
@@ -28,22 +30,47 @@ class SurfaceOptions:
     relief : ReliefOptions
     pitch_mm : float or None
         Texel pitch; None takes the spacing of the points.
+    footprint_mm : float or None
+        Radius of the resampling's footprint, where smoothing is wanted; None takes the least.
     """
 
     range_image: RangeOptions = field(default_factory=RangeOptions)
     canvas: CanvasOptions = field(default_factory=CanvasOptions)
     relief: ReliefOptions = field(default_factory=ReliefOptions)
     pitch_mm: float | None = None
+    footprint_mm: float | None = None
 
 
 @dataclass(frozen=True)
 class Surface:
-    """What came of the scan: the copy, and the steps that led to it."""
+    """What came of the scan: the copy, and the steps that led to it.
+
+    Attributes
+    ----------
+    copy : DigitalCopy
+    range_image : RangeImage
+    canvas : Canvas
+    noise : SurfaceNoise
+    footprint_mm : (float, float)
+        Radius along X and Y under which the heights were fitted.
+    shape : CanvasShape or None
+        Bow and twist of the canvas; None where too little of it was measured.
+    calibration : CalibrationUncertainty or None
+        What the rig's uncertainty does to the heights; None where it is unknown.
+    """
 
     copy: DigitalCopy
     range_image: RangeImage
     canvas: Canvas
     noise: SurfaceNoise
+    footprint_mm: tuple[float, float]
+    shape: CanvasShape | None
+    calibration: CalibrationUncertainty | None
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was ambiguous on the way."""
+        return self.canvas.warnings
 
 
 def reconstruct_surface(
@@ -73,7 +100,9 @@ def reconstruct_surface(
     range_image = triangulate(correspondence, rig, options.range_image)
     canvas = extract_canvas(range_image, options.canvas)
     noise = measure_surface_noise(range_image, canvas)
-    heights = resample_heights(range_image, canvas, pitch_mm=options.pitch_mm)
+    heights = resample_heights(
+        range_image, canvas, pitch_mm=options.pitch_mm, footprint_mm=options.footprint_mm
+    )
     normal_xy, slope_sigma = triangle_normals(
         heights.height, heights.mask, heights.variance, heights.pitch_mm
     )
@@ -85,4 +114,14 @@ def reconstruct_surface(
         heights = heights.without(lonely)
         slope_sigma = np.where(lonely, np.float32(0), slope_sigma)
     relief = classify_relief(heights, options.relief)
-    return Surface(DigitalCopy(heights, normal_xy, relief, slope_sigma), range_image, canvas, noise)
+    return Surface(
+        DigitalCopy(heights, normal_xy, relief, slope_sigma),
+        range_image,
+        canvas,
+        noise,
+        footprint_radius_mm(
+            point_spacing_mm(range_image, canvas), heights.pitch_mm, options.footprint_mm
+        ),
+        measure_shape(heights),
+        propagate_calibration(correspondence, rig, canvas),
+    )

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from acquisition.correspondence import Rejection
+from acquisition.correspondence import AxisCoordinate, CorrespondenceMap, Rejection
 from acquisition.patterns import Axis, Gray, PhaseShift, pattern_profile
 from acquisition.plan import Crop, Imager, Plan, PlannedFrame
-from calibration.lens import rt_from_matrix
+from calibration.lens import rt_from_matrix, transform
 from fitting.range_image import RangeImage
 
 
@@ -139,3 +139,35 @@ def _first_hit(relief, eye: np.ndarray, rays: np.ndarray) -> np.ndarray:
         clear = above(middle)
         before, after = np.where(clear, middle, before), np.where(clear, after, middle)
     return np.where(flying, np.nan, low + before * (high - low))
+
+
+def depth_of_scene(rays: np.ndarray, relief) -> np.ndarray:
+    """Depth at which rays meet a tilted plane at 430 mm with ``relief(x, y)`` on it."""
+    normal = np.array([0.06, -0.04, -1.0])
+    depth = (normal @ [0, 0, 430.0]) / (rays @ normal)
+    for _ in range(30):
+        points = rays * depth[..., np.newaxis]
+        depth = (normal @ [0, 0, 430.0] + relief(points[..., 0], points[..., 1])) / (rays @ normal)
+    return depth
+
+
+def correspond(rig, relief, *, sigma=0.05, seed=0, axes=tuple(Axis), shape=(240, 320)):
+    """The correspondence map of a scene, with its true points."""
+    col, row = np.meshgrid(np.arange(float(shape[1])), np.arange(float(shape[0])))
+    rays = rig.camera.unproject(np.stack([col, row], axis=-1))
+    points = rays * depth_of_scene(rays, relief)[..., np.newaxis]
+    panel = rig.projector.project(transform(rig.rt_proj_cam, points))
+    random = np.random.default_rng(seed)
+    decoded = {}
+    for axis in axes:
+        at = panel[..., 0 if axis is Axis.COLUMN else 1] + random.normal(0, sigma, shape)
+        variance = np.full(shape, max(sigma, 1e-4) ** 2, np.float32)
+        modulation = np.full(shape, 100, np.float32)
+        decoded[axis] = AxisCoordinate(at, variance, modulation, 32.0, 1.0)
+    nothing = np.zeros(shape, np.uint8)
+    ambient = np.full(shape, 100, np.float32)
+    return CorrespondenceMap(decoded, ambient, nothing, (0, 0), 1.0), points
+
+
+def bumps(x, y):
+    return -1.5 * np.exp(-((x - 8) ** 2 + (y + 5) ** 2) / 40) + 0.3 * np.sin(x / 4)

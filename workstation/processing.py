@@ -19,6 +19,14 @@ from calibration.rig_geometry import RigGeometry
 from fitting.digital_copy import DigitalCopy
 from fitting.surface import Surface, SurfaceOptions, reconstruct_surface
 
+_ERROR_SUMMARY = (
+    "height_noise",
+    "height_sigma_mm",
+    "height_unresolved_mm",
+    "canvas_shape",
+    "calibration_uncertainty",
+)
+
 
 @dataclass(frozen=True, kw_only=True)
 class ProcessingOptions:
@@ -109,7 +117,8 @@ def process_session(
         "session": session.digest,
         "source": session.plan.source,
         "parameters": asdict(options),
-        "errors": {name: figures[name] for name in ("height_noise", "height_sigma_mm")},
+        "errors": {name: figures[name] for name in _ERROR_SUMMARY},
+        "warnings": figures["warnings"],
     }
     copy = DigitalCopy(
         surface.copy.height_field,
@@ -151,6 +160,7 @@ def _figures(correspondence: CorrespondenceMap, surface: Surface) -> dict[str, A
         "epipolar_misalignment_px": surface.range_image.misalignment_px,
         "canvas_pixels": int(surface.canvas.mask.sum()),
         "canvas_axes": str(surface.canvas.axes),
+        "canvas_shape": _shape(surface),
         "texels": int(heights.mask.sum()),
         "shape": list(heights.shape),
         "size_mm": list(heights.size_mm),
@@ -158,12 +168,40 @@ def _figures(correspondence: CorrespondenceMap, surface: Surface) -> dict[str, A
         "height_range_mm": [low, high],
         "height_rms_mm": float(np.std(heights.height[heights.mask])),
         "height_sigma_mm": float(np.median(sigma)),
+        "height_unresolved_mm": heights.unresolved_mm,
+        "height_correlation": [] if heights.correlation is None else heights.correlation.tolist(),
+        "footprint_mm": list(surface.footprint_mm),
+        "calibration_uncertainty": _calibration(surface),
         "height_noise": {
             "observed_mm": surface.noise.observed_mm,
             "predicted_mm": surface.noise.predicted_mm,
             "samples": surface.noise.samples,
         },
         "delta0_mm": copy.relief.delta0_mm,
+        "delta0_proposed_mm": copy.relief.proposed_delta0_mm,
         "boxes": len(copy.relief.boxes),
         "significant_share": float(copy.relief.significant[heights.mask].mean()),
+        "warnings": list(surface.warnings),
+    }
+
+
+def _shape(surface: Surface) -> dict[str, Any] | str:
+    shape = surface.shape
+    if shape is None:
+        return "unknown: too little of the canvas was measured"
+    named = zip(("bow_x", "bow_y", "twist"), shape.sigma_mm, strict=True)
+    return {
+        "bow_x_mm": shape.bow_x_mm,
+        "bow_y_mm": shape.bow_y_mm,
+        "twist_mm": shape.twist_mm,
+    } | {f"{name}_sigma_mm": sigma for name, sigma in named}
+
+
+def _calibration(surface: Surface) -> dict[str, Any] | str:
+    uncertainty = surface.calibration
+    if uncertainty is None:
+        return "unknown: the rig's calibration carries no covariance"
+    named = zip(("bow_x", "bow_y", "twist"), uncertainty.shape_mm, strict=True)
+    return {"height_sigma_mm": uncertainty.height_mm} | {
+        f"{name}_sigma_mm": sigma for name, sigma in named
     }

@@ -4,8 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
+from synthetic_scan import bumps, correspond
 
-from acquisition.correspondence import AxisCoordinate, CorrespondenceMap, Rejection
+from acquisition.correspondence import Rejection
 from acquisition.patterns import Axis
 from calibration.lens import invert, rotation, rt_from_matrix, transform
 from fitting.canvas import InPlaneAxes, extract_canvas
@@ -15,38 +16,6 @@ from fitting.range_image import triangulate
 from fitting.resampling import resample_heights
 from fitting.surface_noise import measure_surface_noise
 from fitting.triangulation_kernels import find_supported
-
-
-def depth_of_scene(rays: np.ndarray, relief) -> np.ndarray:
-    """Depth at which rays meet a tilted plane at 430 mm with ``relief(x, y)`` on it."""
-    normal = np.array([0.06, -0.04, -1.0])
-    depth = (normal @ [0, 0, 430.0]) / (rays @ normal)
-    for _ in range(30):
-        points = rays * depth[..., np.newaxis]
-        depth = (normal @ [0, 0, 430.0] + relief(points[..., 0], points[..., 1])) / (rays @ normal)
-    return depth
-
-
-def correspond(rig, relief, *, sigma=0.05, seed=0, axes=tuple(Axis), shape=(240, 320)):
-    """The correspondence map of a scene, with its true points."""
-    col, row = np.meshgrid(np.arange(float(shape[1])), np.arange(float(shape[0])))
-    rays = rig.camera.unproject(np.stack([col, row], axis=-1))
-    points = rays * depth_of_scene(rays, relief)[..., np.newaxis]
-    panel = rig.projector.project(transform(rig.rt_proj_cam, points))
-    random = np.random.default_rng(seed)
-    decoded = {}
-    for axis in axes:
-        at = panel[..., 0 if axis is Axis.COLUMN else 1] + random.normal(0, sigma, shape)
-        variance = np.full(shape, max(sigma, 1e-4) ** 2, np.float32)
-        modulation = np.full(shape, 100, np.float32)
-        decoded[axis] = AxisCoordinate(at, variance, modulation, 32.0, 1.0)
-    nothing = np.zeros(shape, np.uint8)
-    ambient = np.full(shape, 100, np.float32)
-    return CorrespondenceMap(decoded, ambient, nothing, (0, 0), 1.0), points
-
-
-def bumps(x, y):
-    return -1.5 * np.exp(-((x - 8) ** 2 + (y + 5) ** 2) / 40) + 0.3 * np.sin(x / 4)
 
 
 @pytest.mark.parametrize("axes", [(Axis.COLUMN,), tuple(Axis)])
