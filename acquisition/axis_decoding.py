@@ -8,6 +8,7 @@ every frame.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from acquisition.correspondence import PhaseHarmonic
 from acquisition.errors import DecodingError
-from acquisition.fringe_fit import FittedFringe, fit_folded
+from acquisition.fringe_fit import FittedFringe, FoldedFringe, fit_folded
 from acquisition.fringe_kernels import (
     AxisState,
     UnwrapStep,
@@ -24,7 +25,7 @@ from acquisition.fringe_kernels import (
     merge_exposures,
     subtract_series,
 )
-from acquisition.fringe_sampling import BAD_LIGHT, FringeReport, FringeSampler
+from acquisition.fringe_sampling import BAD_LIGHT, FringeReport, FringeSampler, Lines
 from acquisition.fringe_statistics import disagreement_limit, systematic_disagreement
 from acquisition.fringes import Fringe
 from acquisition.gray_decoding import GrayCode, cell_coordinates, needs_level, read_words
@@ -166,8 +167,14 @@ class FringeDecoder:
     def _fit_exposures(self, group: tuple[Fringe, ...]) -> tuple[FittedFringe, FringeReport]:
         """Fit a fringe at all of its exposures, the longest first, and join the fits."""
         joined: FittedFringe | None = None
-        for fringe in group:
-            folded, lines = self.sampler.read(fringe)
+        coming: Iterable[tuple[FoldedFringe, Lines]] = map(self.sampler.read, group)
+        if self.sampler.noise is None:
+            # Levels of all exposures tell how the noise grows with the light.
+            coming = list(coming)
+            rows = [lines.rows for _, lines in coming]
+            self.sampler.learn_noise(list(zip(group, rows, strict=True)))
+        for folded, lines in coming:
+            fringe = folded.fringe
             model, _, latest = self.sampler.model(fringe, lines)
             fitted = fit_folded(folded, model, self.sampler.sample_model())
             if joined is None:

@@ -143,7 +143,7 @@ class FringeSampler:
     def model(self, fringe: Fringe, lines: Lines) -> tuple[FringeModel, FittedFringe, FringeReport]:
         """What the sampled lines say of a fringe; their fit."""
         if self.noise is None:
-            self._learn_noise(fringe, lines.rows)
+            self.learn_noise([(fringe, lines.rows)])
         assert self.noise is not None
         correction = NO_CORRECTION
         harmonics: tuple[PhaseHarmonic, ...] = ()
@@ -181,16 +181,16 @@ class FringeSampler:
     def _look_ahead(self, fringe: Fringe) -> list[Samples]:
         return [self.stream.look_ahead(frame_id) for frame_id in fringe.frame_ids]
 
-    def _learn_noise(self, fringe: Fringe, stack: Samples) -> None:
-        """Noise of a sample, from the first fringe, and from those that follow if it must be."""
-        known = [(fringe, stack)]
+    def learn_noise(self, known: list[tuple[Fringe, Samples]]) -> None:
+        """Noise of a sample from rows of fringes, and of those that follow if it must be."""
         ceiling = self.stream.plan.saturation_level
-        unsaturated = np.mean((stack < ceiling).all(axis=0))
-        if fringe.steps == 3 or unsaturated < _LEAST_UNSATURATED:
-            others = [other for group in self.groups for other in group if other is not fringe]
+        taken = {fringe.frame_ids for fringe, _ in known}
+        unsaturated = max(np.mean((stack < ceiling).all(axis=0)) for _, stack in known)
+        if known[0][0].steps == 3 or unsaturated < _LEAST_UNSATURATED:
+            others = [f for group in self.groups for f in group if f.frame_ids not in taken]
             for other in others[: _FRINGES_AHEAD - 1]:
                 frames = self._look_ahead(other)
-                known.append((other, np.stack([self._rows_of(frame) for frame in frames])))
+                known = [*known, (other, np.stack([self._rows_of(frame) for frame in frames]))]
         self.noise = estimate_noise(known, saturation=ceiling)
 
     def _harmonics(

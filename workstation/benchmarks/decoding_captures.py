@@ -93,8 +93,9 @@ def _relief(folder: Path) -> list[Record]:
             unit="pixels",
             bound=0.0,
             sense=Sense.AT_MOST,
-            note=f"plaster relief: pixels half a period or more off the robust plane of their "
-            f"block of {_BLOCK} × {_BLOCK}, of {checked}",
+            note=f"plaster relief: pixels three quarters of a period or more off the robust plane "
+            f"of their block of {_BLOCK} × {_BLOCK} (a wrong period is a whole one off), of "
+            f"{checked}",
         ),
         Record(
             name="decode.swapped_files_accepted",
@@ -129,7 +130,7 @@ def _period_errors(found: CorrespondenceMap) -> tuple[int, int]:
                     terms * root[:, np.newaxis], observed * root, rcond=None
                 )[0]
                 weight = 1 / np.maximum(np.abs(observed - terms @ solution), 0.1)
-            errors += int((np.abs(observed - terms @ solution) > decoded.period_px / 2).sum())
+            errors += int((np.abs(observed - terms @ solution) > 0.75 * decoded.period_px).sum())
             checked += len(observed)
     return errors, checked
 
