@@ -127,13 +127,14 @@ def extract_canvas(range_image: RangeImage, options: CanvasOptions | None = None
         Nothing smooth near the centre of the picture, or nothing left after the erosion.
     """
     options = options or CanvasOptions()
-    valid = range_image.valid & np.isfinite(range_image.depth_variance)
+    points = np.ascontiguousarray(range_image.points, dtype=np.float64)
+    variance = np.ascontiguousarray(range_image.depth_variance, dtype=np.float32)
+    valid = range_image.valid & np.isfinite(points[..., 0] + points[..., 1] + points[..., 2])
+    valid &= np.isfinite(variance)
     if valid.sum() < _FEWEST:
         raise FittingError(f"a canvas takes {_FEWEST} points, there are {int(valid.sum())}")
-    points = np.ascontiguousarray(range_image.points, dtype=np.float64)
     centre, normal = _trimmed_plane(_thinned(points, valid))
     height = heights_above_plane(points, valid, centre, normal)
-    variance = np.ascontiguousarray(range_image.depth_variance, dtype=np.float32)
     spacing = _point_spacing(points, valid, normal)
     smooth = find_smooth(
         points, variance, valid, normal, spacing, options.maximum_slope, options.sigmas
