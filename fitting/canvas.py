@@ -23,13 +23,15 @@ from numpy.typing import NDArray
 
 from calibration.lens import rt_from_matrix
 from fitting.canvas_kernels import find_smooth, heights_above_plane
-from fitting.canvas_region import erode_outline, find_region, outline_pixels
+from fitting.canvas_region import disc, erode_outline, find_region, outline_pixels
 from fitting.errors import FittingError
 from fitting.range_image import RangeImage, neighbour_steps
 
 # Points from which planes and medians are taken, at most; more do not sharpen them.
 _POINTS = 200_000
 _PLANE_POINTS = 50_000
+# Half the width of gaps over which the seed fill goes on, in pixels.
+_GAP_PX = 3
 _FEWEST = 10
 
 
@@ -139,6 +141,7 @@ def extract_canvas(range_image: RangeImage, options: CanvasOptions | None = None
     smooth = find_smooth(
         points, variance, valid, normal, spacing, options.maximum_slope, options.sigmas
     )
+    smooth |= _level_gaps(height, smooth, valid, options.maximum_slope * spacing)
     region = find_region(
         smooth, seed=options.seed, window=options.seed_window, bridge_px=options.bridge_px
     )
@@ -209,6 +212,26 @@ def _trimmed_plane(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], ND
             break
         kept = thin[inside]
     return centre, normal
+
+
+def _level_gaps(
+    height: NDArray[np.float32], smooth: NDArray[np.bool_], valid: NDArray[np.bool_], rise: float
+) -> NDArray[np.bool_]:
+    """Pixels without a point in narrow gaps between smooth ones of about one height.
+
+    A dead row of the sensor does not part a canvas; the shadow of a frame, which stands higher,
+    does. ``rise`` is the steepest slope per pixel.
+    """
+    there = smooth.astype(np.uint8)
+    closed = cv2.morphologyEx(there, cv2.MORPH_CLOSE, disc(_GAP_PX)).astype(bool) & ~valid
+    if closed.any():
+        far = np.float32(np.inf)
+        # From one edge of the widest gap to the other.
+        around = disc(2 * _GAP_PX)
+        highest = cv2.dilate(np.where(smooth, height, -far), around)[closed]
+        lowest = cv2.erode(np.where(smooth, height, far), around)[closed]
+        closed[closed] = highest - lowest <= rise * _GAP_PX
+    return closed
 
 
 def _spikes(

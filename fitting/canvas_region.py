@@ -222,13 +222,13 @@ def _eroded(mask: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
     if pixels == 0:
         return mask
     # What lies beyond the picture does not cut.
-    return cv2.erode(mask.astype(np.uint8), _disc(pixels)).astype(bool)
+    return cv2.erode(mask.astype(np.uint8), disc(pixels)).astype(bool)
 
 
 def _dilated(mask: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
     if pixels == 0:
         return mask
-    return cv2.dilate(mask.astype(np.uint8), _disc(pixels)).astype(bool)
+    return cv2.dilate(mask.astype(np.uint8), disc(pixels)).astype(bool)
 
 
 def erode_outline(mask: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
@@ -236,11 +236,12 @@ def erode_outline(mask: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
     if pixels == 0:
         return mask
     eroded = cv2.erode(
-        mask.astype(np.uint8), _disc(pixels), borderType=cv2.BORDER_CONSTANT, borderValue=(0,)
+        mask.astype(np.uint8), disc(pixels), borderType=cv2.BORDER_CONSTANT, borderValue=(0,)
     )
     return eroded.astype(bool)
 
 
-def _disc(pixels: int) -> NDArray[np.uint8]:
+def disc(pixels: int) -> NDArray[np.uint8]:
+    """A disc of a radius in pixels, as OpenCV's morphology takes it."""
     side = 2 * pixels + 1
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)), np.uint8)

@@ -210,6 +210,23 @@ def surface_points(height, step):
 FACING = np.array([0.0, 0.0, -1.0])
 
 
+def test_dead_rows_and_columns_do_not_part_the_canvas():
+    scene = make_range_image(framed())
+    rejection = scene.image.rejection.copy()
+    rejection[80:82] = rejection[:, 100:103] = 2
+    image = dataclasses.replace(scene.image, rejection=rejection)
+    check(dataclasses.replace(scene, image=image), extract_canvas(image), share=0.98)
+
+
+def test_a_narrow_shadow_does_not_join_a_frame_to_the_canvas():
+    scene = make_range_image(framed())
+    outside = np.maximum(np.abs(scene.x) - 45, np.abs(scene.y) - 32)
+    rejection = scene.image.rejection.copy()
+    rejection[np.abs(outside) < 1.2] = 2
+    image = dataclasses.replace(scene.image, rejection=rejection)
+    check(dataclasses.replace(scene, image=image), extract_canvas(image), share=0.96)
+
+
 def test_smooth_pixels_against_sobel():
     random = np.random.default_rng(0)
     height = ndimage.gaussian_filter(random.normal(0, 3, (40, 50)), 1)

@@ -89,8 +89,11 @@ def test_a_row_of_nan_is_a_gap_and_nothing_else(easy):
     rejection[100] = 2
     flagged, _ = reconstruct(dataclasses.replace(image, points=points, rejection=rejection))
     np.testing.assert_array_equal(field.height, flagged.height)
-    both = field.mask[:40] & reference.mask[:40]
-    np.testing.assert_allclose(field.height[:40][both], reference.height[:40][both], atol=5e-3)
+    assert field.mask.sum() > 0.97 * reference.mask.sum()
+    # Other points make the plane, and the grid is laid anew: the surface is what is compared.
+    for measure in (np.std, np.max, np.min):
+        expected = measure(reference.height[reference.mask])
+        assert measure(field.height[field.mask]) == pytest.approx(expected, abs=0.03)
     assert np.isfinite(field.height).all()
     assert np.isfinite(field.variance).all()
 
