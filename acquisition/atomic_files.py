@@ -63,7 +63,18 @@ def file_in_progress(destination: Path) -> Iterator[Path]:
 def write_bytes(destination: Path, content: bytes) -> None:
     """Write ``content`` to ``destination``, whole or not at all."""
     with file_in_progress(destination) as temporary:
-        temporary.write_bytes(content)
+        descriptor = os.open(temporary, os.O_WRONLY)
+        try:
+            write_all(descriptor, content)
+        finally:
+            os.close(descriptor)
+
+
+def write_all(descriptor: int, content: bytes) -> None:
+    """Write all of ``content`` to an open file."""
+    left = memoryview(content)
+    while left:
+        left = left[os.write(descriptor, left) :]
 
 
 def remove_leftovers(folder: Path) -> None:

@@ -3,18 +3,29 @@
 A line is written with its newline in one go, so a last line without one was torn by a crash: the
 event did not happen. A torn line anywhere else means that the file was damaged later, and is
 refused.
+
+Each line ends with a seal, the CRC-32 (ISO 3309) of the seal before it and of the line itself: an
+altered byte is noticed always, as is a line that is missing, doubled or displaced. Journals from
+before there were seals are read without; once a line is sealed, all after it are.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
+import re
+import zlib
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
+from acquisition.atomic_files import write_all
 from acquisition.errors import SessionError
+from devices.interfaces import Subject
+
+_SEAL = re.compile(rb',"seal":"([0-9a-f]{8})"\}$')
 
 
 class StopReason(StrEnum):
@@ -23,6 +34,13 @@ class StopReason(StrEnum):
     SUCCESS = "success"
     ABORTED = "aborted"
     FAILED = "failed"
+
+
+class SkipReason(StrEnum):
+    """Why a planned frame was not taken."""
+
+    SERVED = "other exposures of the bracket serve its pixels"
+    SATURATED = "what lacks signal would saturate"
 
 
 class _Event(BaseModel):
@@ -39,7 +57,11 @@ class Start(_Event):
 
 
 class FrameRecorded(_Event):
-    """A frame is safe on the disk; its times are those of the exposure."""
+    """A frame is safe on the disk; its times are those of the exposure.
+
+    ``subject`` is what the rig knew it to be a picture of, ``needed_by`` the number of pixels that
+    its exposure was taken for where others of its bracket had been taken already.
+    """
 
     event: Literal["frame"] = "frame"
     id: str
@@ -47,6 +69,22 @@ class FrameRecorded(_Event):
     sha256: str
     sequence: int
     exposure_applied_s: float | None = None
+    subject: Subject | None = None
+    needed_by: int | None = None
+
+
+class FrameSkipped(_Event):
+    """A planned frame of a bracket was not needed.
+
+    ``pixels`` is the number that would have gained by it, ``saturating`` the number that it was
+    predicted to saturate.
+    """
+
+    event: Literal["skipped"] = "skipped"
+    id: str
+    reason: SkipReason
+    pixels: int
+    saturating: int
 
 
 class Stop(_Event):
@@ -57,26 +95,46 @@ class Stop(_Event):
     why: str = ""
 
 
-Event = Annotated[Start | FrameRecorded | Stop, Field(discriminator="event")]
-_EVENT: TypeAdapter[Start | FrameRecorded | Stop] = TypeAdapter(Event)
+AnyEvent = Start | FrameRecorded | FrameSkipped | Stop
+Event = Annotated[AnyEvent, Field(discriminator="event")]
+_EVENT: TypeAdapter[AnyEvent] = TypeAdapter(Event)
 
 
-def append_event(path: Path, event: Start | FrameRecorded | Stop) -> None:
-    """Append one event and flush it to the disk."""
-    line = (event.model_dump_json() + "\n").encode()
-    with open(path, "ab") as journal:
-        journal.write(line)
-        journal.flush()
-        os.fsync(journal.fileno())
+def append_event(path: Path, event: AnyEvent) -> None:
+    """Append one event and flush it to the disk; a torn last line is cut off first.
+
+    Where that fails, the journal is left as it was.
+
+    Raises
+    ------
+    OSError
+        It could not be written.
+    """
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+    try:
+        length, seal = _end_of_journal(descriptor)
+        os.ftruncate(descriptor, length)
+        os.lseek(descriptor, length, os.SEEK_SET)
+        try:
+            write_all(descriptor, _sealed(event.model_dump_json(exclude_none=True).encode(), seal))
+            os.fsync(descriptor)
+        except OSError:
+            # Whoever appends next looks for a torn line all the same.
+            with contextlib.suppress(OSError):
+                os.ftruncate(descriptor, length)
+            raise
+    finally:
+        os.close(descriptor)
 
 
-def read_journal(path: Path) -> list[Start | FrameRecorded | Stop]:
+def read_journal(path: Path) -> list[AnyEvent]:
     """Events of a journal, a torn last line left out.
 
     Raises
     ------
     SessionError
-        The journal is missing, or a line before the last is torn.
+        The journal is missing, a line before the last is torn, or one was altered, removed or
+        displaced.
     """
     try:
         content = path.read_bytes()
@@ -87,22 +145,46 @@ def read_journal(path: Path) -> list[Start | FrameRecorded | Stop]:
     lines = content.split(b"\n")
     lines.pop()  # what follows the last newline: nothing, or a torn line
     events = []
+    seal = b""
     for number, line in enumerate(lines, start=1):
         try:
+            line, seal = _unsealed(line, seal)
             events.append(_EVENT.validate_json(line))
-        except ValidationError as error:
+        except (ValidationError, _BrokenSealError) as error:
+            why = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error
             raise SessionError(
-                f"{path}, line {number}: torn or altered ({error.errors()[0]['msg']}); the session "
-                "was damaged after it was recorded, take it from a backup"
+                f"{path}, line {number}: torn or altered ({why}); the session was damaged after "
+                "it was recorded, take it from a backup"
             ) from None
     return events
 
 
-def drop_torn_line(path: Path) -> None:
-    """Cut a journal back to its last whole line, so that more can be appended."""
-    content = path.read_bytes()
+class _BrokenSealError(Exception):
+    pass
+
+
+def _sealed(line: bytes, seal: bytes) -> bytes:
+    checksum = zlib.crc32(seal + line)
+    return line[:-1] + f',"seal":"{checksum:08x}"}}\n'.encode()
+
+
+def _unsealed(line: bytes, seal_before: bytes) -> tuple[bytes, bytes]:
+    """A line without its seal, and that seal; both are checked."""
+    found = _SEAL.search(line)
+    if found is None:
+        if seal_before:
+            raise _BrokenSealError("it has no seal")
+        return line, b""
+    bare = line[: found.start()] + b"}"
+    if _sealed(bare, seal_before) != line + b"\n":
+        raise _BrokenSealError("its seal is another line's")
+    return bare, found.group(1)
+
+
+def _end_of_journal(descriptor: int) -> tuple[int, bytes]:
+    """Length of the whole lines of an open journal, and the seal of the last."""
+    size = os.lseek(descriptor, 0, os.SEEK_END)
+    content = os.pread(descriptor, size, 0)
     whole = content.rfind(b"\n") + 1
-    if whole < len(content):
-        with open(path, "r+b") as journal:
-            journal.truncate(whole)
-            os.fsync(journal.fileno())
+    found = _SEAL.search(content[:whole].rstrip(b"\n"))
+    return whole, found.group(1) if found else b""

@@ -1,14 +1,51 @@
-"""The plan of a scan: what is to be captured, as pure data made before the first frame."""
+"""The plan of a recording: what is to be captured, as pure data made before the first frame.
+
+Frames may form brackets, exposures of one light from short to long, of which the recording leaves
+out those that no pixel needs. Which ones, it decides from the frames that it has recorded, by a
+rule that stands in the plan; so a recording that is resumed decides as one that was never cut off.
+"""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+import math
+from enum import StrEnum
+from itertools import pairwise
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
 from acquisition.patterns import Pattern
+from devices.interfaces import ArmPose
 
 FrameId = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$", max_length=64)]
+
+
+class Purpose(StrEnum):
+    """What a frame is taken for."""
+
+    CODE = "code"
+    PHOTOGRAPH = "photograph"
+    REFERENCE_POSE = "reference pose"
+    FLAT_TARGET = "flat target"
+    COLOUR_CHART = "colour chart"
+    DARK = "dark"
+
+
+def _finite_pose(pose: ArmPose) -> ArmPose:
+    if not (math.isfinite(pose.azimuth) and math.isfinite(pose.elevation)):
+        raise ValueError("an arm pose has finite angles")
+    return pose
+
+
+PlannedPose = Annotated[ArmPose, AfterValidator(_finite_pose)]
 
 
 class _PlanPart(BaseModel):
@@ -38,19 +75,80 @@ class PlannedFrame(_PlanPart):
     ----------
     id : str
         Name of the frame, unique in the plan; its file is named after it.
-    pattern : Pattern
-        What the projector shows.
+    pattern : Pattern or None
+        What the projector shows; None where it is dark.
     exposure_s : float or None
         Exposure time asked for; None where a foreign capture does not say.
+    purpose : Purpose
+        What it is taken for.
+    arm_pose : ArmPose or None
+        Where the light arm stands; None where that does not matter.
+    lamp_on : bool
+        Whether the arm's lamp is lit.
+    camera_position : str or None
+        Where the camera stands; None where it stays where it is.
+    bracket : str or None
+        Name of the bracket that the frame belongs to. The first frame of a bracket is always taken,
+        the others where :class:`Bracketing` finds that they are needed.
     """
 
     id: FrameId
-    pattern: Pattern
+    pattern: Pattern | None
     exposure_s: float | None = Field(default=None, gt=0)
+    purpose: Purpose = Purpose.CODE
+    arm_pose: PlannedPose | None = None
+    lamp_on: bool = False
+    camera_position: str | None = None
+    bracket: FrameId | None = None
+
+    @property
+    def light(self) -> tuple[Any, ...]:
+        """What frames of one bracket have in common."""
+        return (self.purpose, self.pattern, self.arm_pose, self.lamp_on, self.camera_position)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> PlannedFrame:
+        if self.lamp_on and self.arm_pose is None:
+            raise ValueError(f"frame {self.id}: a lamp is lit at a pose of its arm; name one")
+        if self.pattern is None and self.purpose is Purpose.CODE:
+            raise ValueError(f"frame {self.id}: a code has a pattern")
+        if self.bracket is not None and self.exposure_s is None:
+            raise ValueError(f"frame {self.id}: in a bracket each frame has an exposure")
+        return self
+
+    @model_serializer(mode="wrap")
+    def _without_defaults(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what photographs alone have: scans read and write as they always did."""
+        written: dict[str, Any] = handler(self)
+        return _less_defaults(
+            self, written, ("purpose", "arm_pose", "lamp_on", "camera_position", "bracket")
+        )
+
+
+class Bracketing(_PlanPart):
+    """When a frame of a bracket is needed.
+
+    A pixel needs an exposure if no shorter one gave it enough signal, the exposure will not
+    saturate it, and the next one would, or there is none. Each pixel is so served by the longest
+    exposure that it can take, and no choice of fewer exposures serves them all.
+
+    Attributes
+    ----------
+    least_signal : float
+        Signal above black that is enough, as a share of what saturates.
+    headroom : float
+        Signals predicted to exceed this share of what saturates count as saturated.
+    least_share : float
+        Share of the pixels that must need an exposure for it to be taken.
+    """
+
+    least_signal: float = Field(default=0.25, gt=0, lt=1)
+    headroom: float = Field(default=0.85, gt=0, le=1)
+    least_share: float = Field(default=5e-4, ge=0, lt=1)
 
 
 class Plan(_PlanPart):
-    """Everything that a scan will capture.
+    """Everything that a recording will capture.
 
     Attributes
     ----------
@@ -64,6 +162,10 @@ class Plan(_PlanPart):
         In the order of capture.
     source : str
         Where the frames come from: ``"rig"``, ``"simulation"``, or a foreign capture's name.
+    bracketing : Bracketing or None
+        When frames of brackets are needed; None if all of them are taken.
+    lamp_warm_up_s : float
+        For how long the lamp burns before the first frame that it lights.
     """
 
     format: Literal["impasto-plan-1"] = "impasto-plan-1"
@@ -73,6 +175,59 @@ class Plan(_PlanPart):
     saturation_level: int = Field(gt=0, le=65535)
     frames: tuple[PlannedFrame, ...] = Field(min_length=1)
     source: str
+    bracketing: Bracketing | None = None
+    lamp_warm_up_s: float = Field(default=0.0, ge=0, le=3600)
+
+    @property
+    def camera_positions(self) -> tuple[str, ...]:
+        """Places of the camera that frames name, in the order of the first."""
+        named = (f.camera_position for f in self.frames if f.camera_position is not None)
+        return tuple(dict.fromkeys(named))
+
+    def only(self, *, purpose: Purpose, camera_position: str | None = None) -> Plan | None:
+        """The part of the plan that serves a purpose, from one place of the camera.
+
+        Parameters
+        ----------
+        purpose : Purpose
+        camera_position : str, optional
+            By default, wherever the camera stands.
+
+        Returns
+        -------
+        Plan or None
+            None if there is no such frame.
+        """
+        frames = tuple(
+            frame
+            for frame in self.frames
+            if frame.purpose is purpose
+            and (camera_position is None or frame.camera_position == camera_position)
+        )
+        return self.model_copy(update={"frames": frames}) if frames else None
+
+    @model_serializer(mode="wrap")
+    def _without_defaults(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        written: dict[str, Any] = handler(self)
+        return _less_defaults(self, written, ("bracketing", "lamp_warm_up_s"))
+
+    @model_validator(mode="after")
+    def _brackets_in_order(self) -> Plan:
+        last: dict[str, int] = {}
+        for number, frame in enumerate(self.frames):
+            if frame.bracket is None:
+                continue
+            if frame.bracket in last and last[frame.bracket] != number - 1:
+                raise ValueError(f"frame {frame.id}: its bracket was interrupted by another frame")
+            last[frame.bracket] = number
+        for before, frame in pairwise(self.frames):
+            if frame.bracket is None or frame.bracket != before.bracket:
+                continue
+            if frame.light != before.light:
+                raise ValueError(f"frame {frame.id}: its bracket began under another light")
+            if (frame.exposure_s or 0.0) <= (before.exposure_s or 0.0):
+                raise ValueError(f"frame {frame.id}: exposures of a bracket rise")
+        return self
 
     @model_validator(mode="after")
     def _consistent(self) -> Plan:
@@ -86,3 +241,12 @@ class Plan(_PlanPart):
         ):
             raise ValueError("the crop reaches outside the sensor")
         return self
+
+
+def _less_defaults(
+    part: _PlanPart, written: dict[str, Any], names: tuple[str, ...]
+) -> dict[str, Any]:
+    """What a part of a plan was written as, without those of some fields that have defaults."""
+    fields = type(part).model_fields
+    default = {name for name in names if getattr(part, name) == fields[name].default}
+    return {name: value for name, value in written.items() if name not in default}

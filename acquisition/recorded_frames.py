@@ -9,17 +9,26 @@ from __future__ import annotations
 from pathlib import Path
 
 from acquisition.errors import SessionError
-from acquisition.journal import FrameRecorded, Stop, StopReason, read_journal
-from acquisition.patterns import describe, pattern_image
+from acquisition.journal import FrameRecorded, FrameSkipped, Stop, StopReason, read_journal
+from acquisition.patterns import Pattern, describe, pattern_image
 from acquisition.plan import Plan, PlannedFrame
 from acquisition.session import JOURNAL_FILE, RIG_FILE, Session, read_plan
-from devices.interfaces import CameraCapabilities, Projection, ProjectorCapabilities
+from devices.interfaces import (
+    ArmCapabilities,
+    ArmLimits,
+    CameraCapabilities,
+    Projection,
+    ProjectorCapabilities,
+)
 from devices.recording import RecordedFrame, Recording
 
 # A session does not say what its camera could have done.
 _EXPOSURE_RANGE_S = (1e-7, 86_400.0)
 # Nor how fast its projector was.
 _FRAME_PERIOD_S = 1 / 60
+# Nor what its arm could have reached, beyond the poses that it took, and how fast; rad, rad/s.
+_BEYOND = 0.01
+_ARM_SPEED = 0.5
 
 
 def open_for_replay(path: Path) -> Session:
@@ -47,7 +56,13 @@ def open_for_replay(path: Path) -> Session:
     events = read_journal(path / JOURNAL_FILE)
     if any(isinstance(e, Stop) and e.reason is StopReason.SUCCESS for e in events):
         return Session.open(path)
-    return Session(path, plan, "", {e.id: e for e in events if isinstance(e, FrameRecorded)})
+    return Session(
+        path,
+        plan,
+        "",
+        {e.id: e for e in events if isinstance(e, FrameRecorded)},
+        {e.id: e for e in events if isinstance(e, FrameSkipped)},
+    )
 
 
 def rig_toml(session: Session) -> str | None:
@@ -114,6 +129,7 @@ def recording_of(session: Session) -> Recording:
             height=plan.projector.height,
             frame_period_s=_FRAME_PERIOD_S,
         ),
+        arm=_arm_of(plan),
         toml=rig_toml(session) or "",
         source=plan.source,
     )
@@ -126,19 +142,38 @@ def _recorded_frame(session: Session, planned: PlannedFrame, entry: FrameRecorde
             f"{session.plan.source!r}, not recorded by a rig, and cannot be replayed; process it "
             "as it is"
         )
-    projection = _projection(session.plan, planned)
+    projection = None
+    if planned.pattern is not None:
+        projection = _projection(session.plan, planned.id, planned.pattern)
     applied = entry.exposure_applied_s
     return RecordedFrame(
         id=planned.id,
         exposure_asked_s=planned.exposure_s,
         exposure_applied_s=planned.exposure_s if applied is None else applied,
         wall_time=entry.wall_time,
-        projection=projection.digest,
-        projection_name=projection.name,
+        projection=None if projection is None else projection.digest,
+        projection_name=f"{planned.id} dark" if projection is None else projection.name,
+        arm_pose=planned.arm_pose,
+        lamp_on=planned.lamp_on,
+        camera_position=planned.camera_position,
     )
 
 
-def _projection(plan: Plan, planned: PlannedFrame) -> Projection:
+def _arm_of(plan: Plan) -> ArmCapabilities | None:
+    """An arm that reaches what the plan asked of the recorded one; None if it asked nothing."""
+    poses = [frame.arm_pose for frame in plan.frames if frame.arm_pose is not None]
+    if not poses:
+        return None
+    azimuths = [pose.azimuth for pose in poses]
+    elevations = [pose.elevation for pose in poses]
+    limits = ArmLimits(
+        (min(azimuths) - _BEYOND, max(azimuths) + _BEYOND),
+        (min(elevations) - _BEYOND, max(elevations) + _BEYOND),
+    )
+    return ArmCapabilities("replayed light arm", limits, _ARM_SPEED)
+
+
+def _projection(plan: Plan, frame_id: str, pattern: Pattern) -> Projection:
     panel = plan.projector
-    image = pattern_image(planned.pattern, width=panel.width, height=panel.height)
-    return Projection(f"{planned.id} {describe(planned.pattern)}", image)
+    image = pattern_image(pattern, width=panel.width, height=panel.height)
+    return Projection(f"{frame_id} {describe(pattern)}", image)

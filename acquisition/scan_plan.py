@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -18,10 +19,11 @@ def plan_structured_light(
     camera_size: tuple[int, int],
     projector_size: tuple[int, int],
     saturation_level: int,
-    exposure_s: float,
+    exposure_s: float | tuple[float, ...],
     axes: tuple[Axis, ...] = (Axis.COLUMN, Axis.ROW),
     periods_px: tuple[float, ...] = (24.0,),
     steps: int = 8,
+    inverse: bool = False,
     source: str = "rig",
 ) -> Plan:
     """Plan a scan by phase shift: white, black, then every axis from coarse to fine.
@@ -36,8 +38,9 @@ def plan_structured_light(
         Width and height in pixels.
     saturation_level : int
         Sensor number at which the camera saturates.
-    exposure_s : float
-        Exposure of every frame.
+    exposure_s : float or tuple of float
+        Exposure of every frame, or several: then each pattern is taken at all of them, from short
+        to long, before the next is shown.
     axes : tuple of Axis
         Coordinates to encode, each once.
     periods_px : tuple of float
@@ -46,6 +49,9 @@ def plan_structured_light(
         probability erfc(π / (√2 σ_φ √(1 + r²))).
     steps : int
         Phase steps of every fringe, three or more.
+    inverse : bool
+        Whether each bit of a Gray code is followed by its inverse, by which a bit is read where
+        neither mean nor white and black frames tell.
     source : str
         Kept in the plan.
 
@@ -59,7 +65,42 @@ def plan_structured_light(
         Too few steps, an exposure that is not positive, no axis or one named twice, or periods
         that are missing, repeated, or too short for the panel to show.
     """
-    _check(axes, periods_px, steps, exposure_s)
+    exposures = sorted(exposure_s) if isinstance(exposure_s, tuple) else [exposure_s]
+    patterns = code_patterns(
+        projector_size, axes=axes, periods_px=periods_px, steps=steps, inverse=inverse
+    )
+    check_exposures(exposures)
+    width, height = camera_size
+    shots = [(pattern, exposure) for pattern in patterns for exposure in exposures]
+    return Plan(
+        camera=Imager(width=width, height=height),
+        projector=Imager(width=projector_size[0], height=projector_size[1]),
+        crop=Crop(column=0, row=0, width=width, height=height),
+        saturation_level=saturation_level,
+        frames=tuple(
+            PlannedFrame(id=f"{number:04d}", pattern=pattern, exposure_s=exposure)
+            for number, (pattern, exposure) in enumerate(shots)
+        ),
+        source=source,
+    )
+
+
+def code_patterns(
+    projector_size: tuple[int, int],
+    *,
+    axes: tuple[Axis, ...],
+    periods_px: tuple[float, ...],
+    steps: int,
+    inverse: bool = False,
+) -> list[PhaseShift | Gray | Uniform]:
+    """Patterns of a scan in their order; see :func:`plan_structured_light`.
+
+    Raises
+    ------
+    SessionError
+        They cannot be shown or decoded.
+    """
+    _check(axes, periods_px, steps)
     patterns: list[PhaseShift | Gray | Uniform] = [WHITE, BLACK]
     for axis in axes:
         for period in sorted(periods_px, reverse=True):
@@ -69,19 +110,40 @@ def plan_structured_light(
             )
         extent = projector_size[0 if axis is Axis.COLUMN else 1]
         if max(periods_px) < extent:
-            patterns.extend(_gray_code(axis, extent, max(periods_px) / 2))
-    width, height = camera_size
-    return Plan(
-        camera=Imager(width=width, height=height),
-        projector=Imager(width=projector_size[0], height=projector_size[1]),
-        crop=Crop(column=0, row=0, width=width, height=height),
-        saturation_level=saturation_level,
-        frames=tuple(
-            PlannedFrame(id=f"{number:04d}", pattern=pattern, exposure_s=exposure_s)
-            for number, pattern in enumerate(patterns)
-        ),
-        source=source,
-    )
+            for bit in _gray_code(axis, extent, max(periods_px) / 2):
+                patterns.append(bit)
+                if inverse:
+                    patterns.append(bit.model_copy(update={"inverse": True}))
+    return patterns
+
+
+def check_exposures(exposures_s: Sequence[float]) -> None:
+    """Refuse exposures that cannot be planned.
+
+    Raises
+    ------
+    SessionError
+        None, one that is not a positive time, or one that occurs twice.
+    """
+    wrong = [exposure for exposure in exposures_s if not (math.isfinite(exposure) and exposure > 0)]
+    if wrong:
+        raise SessionError(f"an exposure of {wrong[0]} s cannot be planned; it must be positive")
+    if not exposures_s or len(set(exposures_s)) < len(exposures_s):
+        raise SessionError("a plan needs at least one exposure, and each only once")
+
+
+def whole_periods(exposures_s: Sequence[float], period_s: float) -> tuple[float, ...]:
+    """Exposures made whole numbers of the projector's frame period, each once, from short to long.
+
+    A projector that dims by switching its light shows a level in the mean over a period only.
+
+    Parameters
+    ----------
+    exposures_s : sequence of float
+    period_s : float
+        Time of one projected frame.
+    """
+    return tuple(sorted({period_s * max(1, round(e / period_s)) for e in exposures_s}))
 
 
 def _gray_code(axis: Axis, extent: int, step_px: float) -> list[Gray]:
@@ -96,13 +158,9 @@ def _gray_code(axis: Axis, extent: int, step_px: float) -> list[Gray]:
     return [Gray(axis=axis, bit=bit, bits=bits, step_px=step_px) for bit in range(bits)]
 
 
-def _check(
-    axes: tuple[Axis, ...], periods_px: tuple[float, ...], steps: int, exposure_s: float
-) -> None:
+def _check(axes: tuple[Axis, ...], periods_px: tuple[float, ...], steps: int) -> None:
     if steps < 3:
         raise SessionError(f"{steps} phase steps do not determine a phase; plan three or more")
-    if not (math.isfinite(exposure_s) and exposure_s > 0):
-        raise SessionError(f"an exposure of {exposure_s} s cannot be planned; it must be positive")
     if not axes or len(set(axes)) < len(axes):
         raise SessionError("a scan encodes each axis once, and one at least")
     if not periods_px or len(set(periods_px)) < len(periods_px):

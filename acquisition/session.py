@@ -2,21 +2,22 @@
 
 A session is a folder with ``plan.json``, ``journal.jsonl``, ``frames/``, optionally ``rig.toml``
 and ``calibration/``, and ``manifest.sha256``, which the recording writes last. The manifest covers
-everything but the journal, whose times differ from one recording to the next.
+everything but the journal, whose times differ from one recording to the next and whose lines carry
+checksums of their own, and the contact sheet, which can be drawn anew.
 """
 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from pydantic import ValidationError
 
 from acquisition.errors import SessionError
 from acquisition.frame_files import SUFFIX, Samples, decode_frame
-from acquisition.journal import FrameRecorded, Stop, StopReason, read_journal
-from acquisition.plan import Plan
+from acquisition.journal import FrameRecorded, FrameSkipped, Stop, StopReason, read_journal
+from acquisition.plan import Plan, PlannedFrame, Purpose
 
 PLAN_FILE = "plan.json"
 JOURNAL_FILE = "journal.jsonl"
@@ -24,6 +25,9 @@ MANIFEST_FILE = "manifest.sha256"
 RIG_FILE = "rig.toml"
 FRAMES_FOLDER = "frames"
 CALIBRATION_FOLDER = "calibration"
+CONTACT_SHEET_FILE = "contact-sheet.png"
+# What the manifest does not cover.
+_UNCOVERED = {JOURNAL_FILE, MANIFEST_FILE, CONTACT_SHEET_FILE}
 
 
 @dataclass(frozen=True)
@@ -40,12 +44,15 @@ class Session:
         SHA-256 of the manifest: the identity of everything recorded.
     recorded : dict
         :class:`~acquisition.journal.FrameRecorded` by frame id.
+    skipped : dict
+        :class:`~acquisition.journal.FrameSkipped` by frame id: planned, but not needed.
     """
 
     path: Path
     plan: Plan
     digest: str
     recorded: dict[str, FrameRecorded]
+    skipped: dict[str, FrameSkipped] = field(default_factory=dict)
 
     @classmethod
     def open(cls, path: Path) -> Session:
@@ -64,6 +71,7 @@ class Session:
         plan = read_plan(path)
         events = read_journal(path / JOURNAL_FILE)
         recorded = {e.id: e for e in events if isinstance(e, FrameRecorded)}
+        skipped = {e.id: e for e in events if isinstance(e, FrameSkipped)}
         last = events[-1] if events else None
         if not (isinstance(last, Stop) and last.reason is StopReason.SUCCESS):
             state = f"{last.reason}: {last.why}" if isinstance(last, Stop) else "cut off"
@@ -72,15 +80,42 @@ class Session:
                 f"{len(plan.frames)} frames); resume it first"
             )
         manifest = _read_manifest(path / MANIFEST_FILE)
-        _check_files(path, manifest, plan, recorded)
+        _check_skipped(path, plan, recorded, skipped)
+        _check_files(path, manifest, plan, recorded, skipped)
         digest = hashlib.sha256((path / MANIFEST_FILE).read_bytes()).hexdigest()
-        return cls(path, plan, digest, recorded)
+        return cls(path, plan, digest, recorded, skipped)
 
     @property
     def calibration_folder(self) -> Path | None:
         """Folder of the calibration in force at the recording, if there was one."""
         folder = self.path / CALIBRATION_FOLDER
         return folder if folder.is_dir() else None
+
+    @property
+    def frames(self) -> tuple[PlannedFrame, ...]:
+        """Planned frames that were recorded, in the order of the plan."""
+        return tuple(frame for frame in self.plan.frames if frame.id in self.recorded)
+
+    def plan_of(self, purpose: Purpose, *, camera_position: str | None = None) -> Plan:
+        """The part of the plan that was recorded for a purpose, as decoding takes it.
+
+        Parameters
+        ----------
+        purpose : Purpose
+        camera_position : str, optional
+            By default, wherever the camera stood.
+
+        Raises
+        ------
+        SessionError
+            Nothing was recorded for it.
+        """
+        recorded = self.plan.model_copy(update={"frames": self.frames})
+        part = recorded.only(purpose=purpose, camera_position=camera_position)
+        if part is None:
+            where = "" if camera_position is None else f" with the camera at {camera_position!r}"
+            raise SessionError(f"{self.path} holds no frame for {purpose}{where}")
+        return part
 
     def exposure_s(self, frame_id: str) -> float | None:
         """Exposure time of a frame: as the camera reported it, else as asked for, else None.
@@ -161,7 +196,7 @@ def files_of_session(path: Path) -> set[str]:
 
 def manifest_text(path: Path) -> str:
     """Manifest of a session folder as it is: a digest and a path per line, sorted by path."""
-    covered = sorted(files_of_session(path) - {JOURNAL_FILE, MANIFEST_FILE})
+    covered = sorted(files_of_session(path) - _UNCOVERED)
     return "".join(
         f"{hashlib.sha256((path / name).read_bytes()).hexdigest()}  {name}\n" for name in covered
     )
@@ -186,11 +221,33 @@ def _read_manifest(file: Path) -> dict[str, str]:
     return entries
 
 
+def _check_skipped(
+    path: Path,
+    plan: Plan,
+    recorded: dict[str, FrameRecorded],
+    skipped: dict[str, FrameSkipped],
+) -> None:
+    """Only frames that the plan leaves to the recording may be missing from it."""
+    optional = {f.id for f in plan.frames if f.bracket is not None and plan.bracketing is not None}
+    wrong = sorted((set(skipped) - optional) | (set(skipped) & set(recorded)))
+    if wrong:
+        raise SessionError(
+            f"{path / JOURNAL_FILE} says that frame {wrong[0]} was skipped, and it was recorded or "
+            "may not be skipped by the plan: the session was damaged, take it from a backup"
+        )
+
+
 def _check_files(
-    path: Path, manifest: dict[str, str], plan: Plan, recorded: dict[str, FrameRecorded]
+    path: Path,
+    manifest: dict[str, str],
+    plan: Plan,
+    recorded: dict[str, FrameRecorded],
+    skipped: dict[str, FrameSkipped],
 ) -> None:
     """Compare the folder with the manifest; frames by name and journal, the rest by content."""
     for frame in plan.frames:
+        if frame.id in skipped:
+            continue
         entry = recorded.get(frame.id)
         if entry is None:
             raise SessionError(f"{path}: frame {frame.id} is planned but was not recorded")
@@ -198,7 +255,7 @@ def _check_files(
             raise SessionError(
                 f"{path / MANIFEST_FILE} and {path / JOURNAL_FILE} disagree about frame {frame.id}"
             )
-    there = files_of_session(path) - {JOURNAL_FILE, MANIFEST_FILE}
+    there = files_of_session(path) - _UNCOVERED
     missing, extra = sorted(set(manifest) - there), sorted(there - set(manifest))
     if missing:
         raise SessionError(f"{path / missing[0]} is missing ({len(missing)} files in all)")

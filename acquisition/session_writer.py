@@ -6,8 +6,11 @@ recording cut off anywhere can be resumed and ends with the same manifest.
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import hashlib
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 
@@ -15,12 +18,14 @@ from acquisition.atomic_files import folder_in_progress, remove_leftovers, write
 from acquisition.errors import SessionError
 from acquisition.frame_files import Samples, encode_frame
 from acquisition.journal import (
+    AnyEvent,
     FrameRecorded,
+    FrameSkipped,
+    SkipReason,
     Start,
     Stop,
     StopReason,
     append_event,
-    drop_torn_line,
     read_journal,
 )
 from acquisition.plan import Plan
@@ -31,10 +36,14 @@ from acquisition.session import (
     MANIFEST_FILE,
     PLAN_FILE,
     RIG_FILE,
+    Session,
     frame_file,
     manifest_text,
     read_plan,
 )
+from devices.interfaces import Subject
+
+_STAYS_VALID = "what was recorded stays valid, and can be resumed"
 
 
 class SessionWriter:
@@ -44,10 +53,17 @@ class SessionWriter:
     ``failed``, an interruption ``aborted``; :meth:`finish` makes it a success.
     """
 
-    def __init__(self, path: Path, plan: Plan, recorded: dict[str, FrameRecorded]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        plan: Plan,
+        recorded: dict[str, FrameRecorded],
+        skipped: dict[str, FrameSkipped],
+    ) -> None:
         self._path = path
         self._plan = plan
         self._recorded = recorded
+        self._skipped = skipped
         self._open = True
 
     @classmethod
@@ -75,12 +91,15 @@ class SessionWriter:
         Raises
         ------
         SessionError
-            The folder holds something already.
+            The folder holds something already, or cannot be written.
         """
         path = Path(path)
         if path.exists() and (not path.is_dir() or any(path.iterdir())):
             raise SessionError(f"{path} exists already; choose another place, or resume it")
-        with folder_in_progress(path, replace=True) as begun:
+        with (
+            _explaining(path, "no frame is recorded yet"),
+            folder_in_progress(path, replace=True) as begun,
+        ):
             (begun / FRAMES_FOLDER).mkdir()
             if rig_toml is not None:
                 write_bytes(begun / RIG_FILE, rig_toml.encode())
@@ -88,7 +107,7 @@ class SessionWriter:
                 _copy_files(calibration, begun / CALIBRATION_FOLDER)
             write_bytes(begun / PLAN_FILE, plan.model_dump_json(indent=1).encode())
             append_event(begun / JOURNAL_FILE, Start(**_now()))
-        return cls(path, plan, {})
+        return cls(path, plan, {}, {})
 
     @classmethod
     def resume(cls, path: Path) -> SessionWriter:
@@ -97,14 +116,14 @@ class SessionWriter:
         Raises
         ------
         SessionError
-            No plan or journal, a damaged journal, or a session that is complete.
+            No plan or journal, a damaged journal, a session that is complete, or one that cannot be
+            written.
         """
         path = Path(path)
         plan = read_plan(path)
         events = read_journal(path / JOURNAL_FILE)
         if any(isinstance(e, Stop) and e.reason is StopReason.SUCCESS for e in events):
             raise SessionError(f"{path}: the recording is complete, there is nothing to resume")
-        drop_torn_line(path / JOURNAL_FILE)
         recorded = {}
         for event in events:
             if isinstance(event, FrameRecorded):
@@ -112,9 +131,11 @@ class SessionWriter:
                 # A frame whose file was lost or altered since is taken again.
                 if file.is_file() and _sha256(file.read_bytes()) == event.sha256:
                     recorded[event.id] = event
-        _remove_unacknowledged(path, recorded)
-        append_event(path / JOURNAL_FILE, Start(**_now(), resumed=True))
-        return cls(path, plan, recorded)
+        skipped = {event.id: event for event in events if isinstance(event, FrameSkipped)}
+        with _explaining(path, _STAYS_VALID):
+            _remove_unacknowledged(path, recorded)
+            append_event(path / JOURNAL_FILE, Start(**_now(), resumed=True))
+        return cls(path, plan, recorded, skipped)
 
     @property
     def path(self) -> Path:
@@ -128,8 +149,14 @@ class SessionWriter:
 
     @property
     def missing(self) -> list[str]:
-        """Ids of the planned frames that are not recorded yet, in order."""
-        return [frame.id for frame in self._plan.frames if frame.id not in self._recorded]
+        """Ids of the planned frames that are neither recorded yet nor skipped, in order."""
+        settled = self._recorded.keys() | self._skipped.keys()
+        return [frame.id for frame in self._plan.frames if frame.id not in settled]
+
+    @property
+    def so_far(self) -> Session:
+        """What is recorded, as a session without a digest."""
+        return Session(self._path, self._plan, "", dict(self._recorded), dict(self._skipped))
 
     def record(
         self,
@@ -140,6 +167,8 @@ class SessionWriter:
         exposure_applied_s: float | None = None,
         monotonic_s: float | None = None,
         wall_time: float | None = None,
+        subject: Subject | None = None,
+        needed_by: int | None = None,
     ) -> None:
         """Put a frame on the disk and acknowledge it in the journal.
 
@@ -155,22 +184,26 @@ class SessionWriter:
             Exposure that the camera reports.
         monotonic_s, wall_time : float, optional
             When it was exposed; now by default.
+        subject : Subject, optional
+            What it is a picture of, as far as the rig knew.
+        needed_by : int, optional
+            Number of pixels that an adaptive bracket took it for.
 
         Raises
         ------
         SessionError
-            Not a planned frame, recorded already, or of the wrong size or type.
+            Not a planned frame, recorded already, of the wrong size or type, or it cannot be
+            written; then what was recorded before it stays valid.
         """
         if frame_id not in {frame.id for frame in self._plan.frames}:
             raise SessionError(f"frame {frame_id} is not in the plan")
-        if frame_id in self._recorded:
-            raise SessionError(f"frame {frame_id} is recorded already")
+        if frame_id in self._recorded or frame_id in self._skipped:
+            raise SessionError(f"frame {frame_id} is recorded or skipped already")
         expected = (self._plan.crop.height, self._plan.crop.width)
         if image.shape != expected:
             raise SessionError(f"frame {frame_id} is {image.shape}, the plan says {expected}")
         content = encode_frame(image, name=frame_id)
         name = frame_file(frame_id)
-        write_bytes(self._path / name, content)
         now = _now()
         event = FrameRecorded(
             wall_time=now["wall_time"] if wall_time is None else wall_time,
@@ -180,9 +213,43 @@ class SessionWriter:
             sha256=_sha256(content),
             sequence=sequence,
             exposure_applied_s=exposure_applied_s,
+            subject=subject,
+            needed_by=needed_by,
         )
-        append_event(self._path / JOURNAL_FILE, event)
+        with _explaining(self._path / name, _STAYS_VALID):
+            write_bytes(self._path / name, content)
+            self._append(event)
         self._recorded[frame_id] = event
+
+    def skip(self, frame_id: str, *, reason: SkipReason, pixels: int, saturating: int) -> None:
+        """Note in the journal that a planned frame of a bracket is not needed.
+
+        Parameters
+        ----------
+        frame_id : str
+        reason : SkipReason
+        pixels : int
+            Number that would have gained by it.
+        saturating : int
+            Number that it was predicted to saturate.
+
+        Raises
+        ------
+        SessionError
+            The plan does not leave this frame to the recording, it is recorded already, or the
+            journal cannot be written.
+        """
+        planned = next((frame for frame in self._plan.frames if frame.id == frame_id), None)
+        if planned is None or planned.bracket is None or self._plan.bracketing is None:
+            raise SessionError(f"frame {frame_id} is none that the plan allows to be skipped")
+        if frame_id in self._recorded or frame_id in self._skipped:
+            raise SessionError(f"frame {frame_id} is recorded or skipped already")
+        event = FrameSkipped(
+            **_now(), id=frame_id, reason=reason, pixels=pixels, saturating=saturating
+        )
+        with _explaining(self._path / JOURNAL_FILE, _STAYS_VALID):
+            self._append(event)
+        self._skipped[frame_id] = event
 
     def finish(self) -> None:
         """Write the manifest and close the session.
@@ -190,15 +257,16 @@ class SessionWriter:
         Raises
         ------
         SessionError
-            Frames are still missing.
+            Frames are still missing, or the manifest cannot be written.
         """
         if self.missing:
             raise SessionError(
                 f"{self._path}: {len(self.missing)} frames are still to be captured, the first is "
                 f"{self.missing[0]}"
             )
-        write_bytes(self._path / MANIFEST_FILE, manifest_text(self._path).encode())
-        self._stop(StopReason.SUCCESS, "")
+        with _explaining(self._path / MANIFEST_FILE, _STAYS_VALID):
+            write_bytes(self._path / MANIFEST_FILE, manifest_text(self._path).encode())
+            self._stop(StopReason.SUCCESS, "")
 
     def __enter__(self) -> SessionWriter:
         return self
@@ -212,11 +280,29 @@ class SessionWriter:
         if self._open:
             interrupted = kind is None or not issubclass(kind, Exception)
             reason = StopReason.ABORTED if interrupted else StopReason.FAILED
-            self._stop(reason, str(error) if error else "left before the end")
+            # A disk that is full may take no last line either; what is told is the first failure.
+            with contextlib.suppress(OSError):
+                self._stop(reason, str(error) if error else "left before the end")
 
     def _stop(self, reason: StopReason, why: str) -> None:
-        append_event(self._path / JOURNAL_FILE, Stop(**_now(), reason=reason, why=why))
+        self._append(Stop(**_now(), reason=reason, why=why))
         self._open = False
+
+    def _append(self, event: AnyEvent) -> None:
+        append_event(self._path / JOURNAL_FILE, event)
+
+
+@contextlib.contextmanager
+def _explaining(file: Path, so_far: str) -> Iterator[None]:
+    """Say what a failure of the disk means for the session."""
+    try:
+        yield
+    except OSError as error:
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        advice = "free some space" if full else "look at the disk"
+        raise SessionError(
+            f"{file} cannot be written ({error.strerror or error}): {so_far}; {advice}, then go on"
+        ) from error
 
 
 def _copy_files(source: Path, destination: Path) -> None:
