@@ -23,7 +23,6 @@ from fitting.reflectance.texel_kernels import (
 )
 
 Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
 
 _NO_HIGHLIGHT = int(TexelFlag.DIFFUSE | TexelFlag.UNOBSERVED | TexelFlag.NO_SAMPLES)
 _DIFFUSE = int(TexelFlag.DIFFUSE)
@@ -74,7 +73,7 @@ class FitArrays(NamedTuple):
 
     shape: Floats
     rho: Floats
-    covariance: Singles
+    covariance: Floats
     cost: Floats
     samples: NDArray[np.int32]
     iterations: NDArray[np.int32]

@@ -114,7 +114,7 @@ def with_varying_lobe(
     if seen.sum() < _FEWEST_TEXELS:
         return material
     precision = weak.shape_precision[:free, :free]
-    posterior = fits.covariance[seen][:, :free, :free].astype(np.float64)
+    posterior = fits.covariance[seen][:, :free, :free]
     # What the weak prior added to each texel's information is taken out again.
     information = np.linalg.inv(posterior) - precision
     values, vectors = np.linalg.eigh(0.5 * (information + np.swapaxes(information, 1, 2)))

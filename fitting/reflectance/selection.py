@@ -131,7 +131,7 @@ def _judge(samples: RadianceSamples, material: Material, options: SolverOptions)
 
 
 def _with_misfits(samples: RadianceSamples, options: SolverOptions) -> Iterator[Candidate]:
-    plain = Material(variant=LobeVariant.FREE)
+    plain = Material(variant=LobeVariant.ANISOTROPIC)
     shapes = MISFIT_SHAPES if has_misfit(samples, plain, options=options) else (MisfitShape(0, 0),)
     for shape in shapes:
         material = with_misfit(samples, Material(variant=LobeVariant.MIRROR), shape)

@@ -1,7 +1,8 @@
 """One lobe for the texels of a material, fitted with NLopt on the projected problem.
 
 Every texel keeps its own ρ_d and ρ_s, which are solved for, so that only the one to three numbers
-of the lobe's shape are searched for: BOBYQA from several exponents, then SLSQP with the gradient.
+of the lobe's shape are searched for: BOBYQA from the best of several exponents, then SLSQP with the
+gradient.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from fitting.reflectance.pooled_kernels import fit_shared_lobe
 from fitting.reflectance.samples import RadianceSamples
 
 Floats = NDArray[np.float64]
-_START_EXPONENTS = (3.0, 12.0, 50.0, 250.0)
+_START_EXPONENTS = (3.0, 8.0, 20.0, 50.0, 120.0, 300.0, 800.0)
+_DESCENTS = 2
 
 
 @dataclass(frozen=True)
@@ -97,7 +99,7 @@ def fit_pooled(problem: PooledProblem, *, starts: Floats | None = None) -> Share
     ----------
     problem : PooledProblem
     starts : (s, p) array, optional
-        Free shape parameters to start from; by default exponents from 3 to 250.
+        Free shape parameters to start from, the best of them; by default exponents from 3 to 800.
 
     Returns
     -------
@@ -108,8 +110,9 @@ def fit_pooled(problem: PooledProblem, *, starts: Floats | None = None) -> Share
     if starts is None:
         starts = np.zeros((len(_START_EXPONENTS), free))
         starts[:, 0] = [math.log(k) for k in _START_EXPONENTS]
-    best_cost, best = math.inf, starts[0]
-    for start in starts:
+    ranked = sorted(starts, key=lambda start: problem.evaluate(start)[0])
+    best_cost, best = math.inf, ranked[0]
+    for start in ranked[:_DESCENTS]:
         cost, shape = minimise_bobyqa(
             lambda x: problem.evaluate(x)[0], start, bounds[:, 0], bounds[:, 1]
         )

@@ -91,7 +91,7 @@ class TexelFits:
     Attributes
     ----------
     lobes : LafortuneLobes
-    covariance : (n, 9, 9) float32 array
+    covariance : (n, 9, 9) array
         Of ln k, ln r, ln c, ρ_d (RGB), ρ_s (RGB). Without information it is that of the prior, or
         of an even spread over the range that a parameter can have.
     cost : (n,) array
@@ -107,7 +107,7 @@ class TexelFits:
     """
 
     lobes: LafortuneLobes
-    covariance: NDArray[np.float32]
+    covariance: Floats
     cost: Floats
     samples: NDArray[np.int32]
     iterations: NDArray[np.int32]
@@ -117,7 +117,7 @@ class TexelFits:
     @property
     def standard_errors(self) -> Floats:
         """Of all nine parameters, (n, 9)."""
-        return np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2).astype(np.float64))
+        return np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
 
     @property
     def has_highlight(self) -> NDArray[np.bool_]:
@@ -203,7 +203,7 @@ def fit_texels(
     fits = FitArrays(
         np.zeros((n, 3)),
         np.zeros((n, 2, 3)),
-        np.zeros((n, 9, 9), np.float32),
+        np.zeros((n, 9, 9)),
         np.zeros(n),
         np.zeros(n, np.int32),
         np.zeros(n, np.int32),

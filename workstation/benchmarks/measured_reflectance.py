@@ -50,7 +50,8 @@ def read_goniometer(path: Path) -> RadianceSamples:
     view = directions(theta_s[kept], phi_s[kept])[np.newaxis]
     radiance = colour[np.newaxis] * light[..., 2:]
     variance = np.full_like(radiance, float(np.mean(radiance**2)) * 1e-4)
-    return RadianceSamples(view, light, radiance, variance, np.ones(radiance.shape[:2]))
+    arrays = (view, light, radiance, variance, np.ones(radiance.shape[:2]))
+    return RadianceSamples(*(array.astype(np.float32) for array in arrays))
 
 
 def relative_rms(lobes: LafortuneLobes, samples: RadianceSamples) -> float:
@@ -128,7 +129,8 @@ def read_ball(folder: Path) -> Ball:
     # how far the model is off is found from the samples.
     variance = np.full_like(radiance, 0.02**2)
     weight = np.ones(radiance.shape[:2])
-    samples = RadianceSamples(towards_camera, towards_light, radiance, variance, weight)
+    arrays = (towards_camera, towards_light, radiance, variance, weight)
+    samples = RadianceSamples(*(array.astype(np.float32) for array in arrays))
     return Ball(samples, light, float(np.percentile(radiance, 99.9)))
 
 

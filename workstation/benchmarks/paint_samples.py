@@ -116,4 +116,5 @@ def paint_samples(
     variance = READ_NOISE**2 + SHOT_NOISE * clean
     if noise:
         clean = clean + np.sqrt(variance) * rng.standard_normal(clean.shape)
-    return RadianceSamples(view, light, clean, variance, seen)
+    arrays = (view, light, clean, variance, seen)
+    return RadianceSamples(*(array.astype(np.float32) for array in arrays))
