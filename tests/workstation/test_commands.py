@@ -22,7 +22,10 @@ from fitting.copy_files import read_copy, write_copy
 
 IMPASTO = Path(sys.executable).parent / "impasto"
 CAPTURES = Path(__file__).parents[2] / "fixtures" / "captures"
-COMMANDS = ("bench", "demo", "devices", "import", "process", "render", "replay")
+COMMANDS = (
+    *("bench", "demo", "devices", "import", "photograph", "process"),
+    *("render", "replay", "resume", "scan"),
+)
 
 
 def impasto(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:

@@ -4,10 +4,35 @@ from __future__ import annotations
 
 import typer
 
-from workstation.commands import bench, demo, devices, import_capture, process, render, replay
+from workstation.commands import (
+    bench,
+    demo,
+    devices,
+    import_capture,
+    photograph,
+    process,
+    render,
+    replay,
+    resume,
+    scan,
+)
+
+# In the order of the help: from the rig to the copy.
+_COMMANDS = (
+    demo,
+    devices,
+    scan,
+    photograph,
+    resume,
+    replay,
+    import_capture,
+    process,
+    render,
+    bench,
+)
 
 
 def register(app: typer.Typer) -> None:
     """Add every command to the application."""
-    for command in (demo, devices, import_capture, replay, process, render, bench):
+    for command in _COMMANDS:
         command.register(app)

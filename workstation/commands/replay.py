@@ -91,8 +91,11 @@ def _changed_files(old: Session, new: Session) -> list[str]:
     changed = [
         entry.file
         for frame_id, entry in old.recorded.items()
-        if entry.sha256 != new.recorded[frame_id].sha256
-        and not np.array_equal(old.read_frame(frame_id), new.read_frame(frame_id))
+        if frame_id not in new.recorded
+        or (
+            entry.sha256 != new.recorded[frame_id].sha256
+            and not np.array_equal(old.read_frame(frame_id), new.read_frame(frame_id))
+        )
     ]
     if old.plan != new.plan:
         changed.append("plan.json")
