@@ -22,6 +22,7 @@ from acquisition.fringe_kernels import (
     UnwrapStep,
     advance,
     advance_fitted,
+    begin_axis,
     merge_exposures,
     subtract_series,
 )
@@ -42,7 +43,7 @@ class SharedPictures:
     Attributes
     ----------
     ambient : float32 array
-        Sum of the mean levels of ``terms`` fringes.
+        Sum of the mean levels of ``terms`` fringes, the finest of each axis.
     rejection : uint16 array
     terms : int
     """
@@ -111,9 +112,8 @@ class FringeDecoder:
         for fringe in (fringe for group in groups for fringe in group):
             _ = fringe.solution  # refuse what cannot be decoded before anything is read
         pixels = len(self.shared.rejection)
-        near = self._near
-        near.fill((extent - 1) / 2)
-        variance = np.zeros(pixels, np.float32)
+        near, variance = self._near, np.empty(pixels, np.float32)
+        begin_axis(near, (extent - 1) / 2, variance)
         if code is not None and not needs_level(code):
             cell_coordinates(code, read_words(code, self.sampler.stream), near)
         coarse: Fringe | GrayCode | None = code
@@ -129,7 +129,7 @@ class FringeDecoder:
             )
             report = self._advance(group, state, coarse, extent)
             coarse = group[0]
-            self.shared.terms += 1
+        self.shared.terms += 1
         return DecodedAxis(
             state.coordinate,
             variance,

@@ -90,7 +90,7 @@ class CorrespondenceMap:
     axes : dict
         :class:`AxisCoordinate` by :class:`~acquisition.patterns.Axis`; one axis is enough.
     ambient : (rows, cols) float32 array
-        Mean level A of the fringes in sensor numbers.
+        Mean level A of the finest fringes in sensor numbers.
     rejection : (rows, cols) uint16 array
         :class:`Rejection` bits, 0 where every axis present is good.
     origin : (int, int)

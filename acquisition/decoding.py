@@ -23,6 +23,7 @@ from acquisition.frame_stream import FrameStream, ReadFrame
 from acquisition.fringe_kernels import (
     PROVISIONAL,
     UNCERTAIN_ORDER,
+    begin_pictures,
     flag_outside,
     mask_rejected,
     settle,
@@ -102,7 +103,9 @@ def decode(
 
 def _decoder(plan: Plan, read_frame: ReadFrame, options: DecodingOptions) -> FringeDecoder:
     pixels = plan.crop.height * plan.crop.width
-    shared = SharedPictures(np.zeros(pixels, np.float32), np.zeros(pixels, np.uint16))
+    # Not of zeros: what numpy sets aside empty it has in large pages, which are set up faster.
+    shared = SharedPictures(np.empty(pixels, np.float32), np.empty(pixels, np.uint16))
+    begin_pictures(shared.ambient, shared.rejection)
     groups = exposures_of_fringes(find_fringes(plan))
     sampler = FringeSampler(FrameStream(plan, read_frame), options, groups, options.noise)
     return FringeDecoder(sampler, shared)
@@ -128,8 +131,7 @@ def _decode_code(code: GrayCode, decoder: FringeDecoder) -> DecodedAxis:
     shared.ambient += decoded.ambient
     shared.terms += 1
     extent = _extent(decoder.sampler.stream.plan, code.axis)
-    outside = ~((decoded.coordinate >= -0.5) & (decoded.coordinate <= extent - 0.5))
-    shared.rejection[outside] |= np.uint16(Rejection.OUT_OF_RANGE)
+    flag_outside(decoded.coordinate, extent, shared.rejection)
     variance = np.full(len(decoded.ambient), code.step_px**2 / 12, np.float32)
     # A Gray word read wrongly is off by any number of cells; nothing repeats.
     return DecodedAxis(

@@ -70,6 +70,10 @@ class FrameStream:
             frame = np.array(frame, order="C")
         return frame.reshape(-1)  # type: ignore[return-value]
 
+    def sample_type(self, frame_id: str) -> np.dtype[Any]:
+        """Type of the samples of all frames, from the one that will be taken next."""
+        return self._type if self._type is not None else self.look_ahead(frame_id).dtype
+
     def look_ahead(self, frame_id: str) -> Samples:
         """As :meth:`take`, and the frame will be taken once more."""
         frame = self.take(frame_id)

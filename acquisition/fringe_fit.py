@@ -131,6 +131,7 @@ def model_fringe(
     """What the kernels need to know of a fringe."""
     return FringeModel(
         np.float32(fringe.origin_rad / (2 * np.pi)),
+        fringe.isotropic,
         fringe.variance_moments,
         fringe.gram,
         np.float32(squares_limit),

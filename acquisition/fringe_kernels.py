@@ -74,7 +74,8 @@ class SampleModel(NamedTuple):
 class FringeModel(NamedTuple):
     """What a fit of a fringe needs beside the weights of its steps.
 
-    ``moments`` and ``gram`` are :attr:`~acquisition.fringes.Fringe.variance_moments` and
+    ``isotropic`` says that the phase's variance does not depend on the phase. ``moments`` and
+    ``gram`` are :attr:`~acquisition.fringes.Fringe.variance_moments` and
     :attr:`~acquisition.fringes.Fringe.gram`. ``squares_limit`` bounds the sum of squared residuals
     by noise, in variances of a sample (infinite where there is no redundancy), and ``harmonics``
     what harmonics may add to its root, in modulations. ``correction`` (harmonics, 3) holds rows of
@@ -82,6 +83,7 @@ class FringeModel(NamedTuple):
     """
 
     origin_turns: np.float32
+    isotropic: bool
     moments: NDArray[np.float32]
     gram: NDArray[np.float32]
     squares_limit: np.float32
@@ -111,10 +113,10 @@ class UnwrapStep(NamedTuple):
 class AxisState(NamedTuple):
     """What an axis is decoded to, fringe by fringe; all of (pixels,).
 
-    ``near`` is the coordinate so far, float32, and ``variance`` its variance; ``ambient`` the sum
-    of mean levels, float32, and ``rejection`` the bits, uint16, shared by all axes. The finest
-    fringe leaves its coordinate in full precision in ``coordinate``, float64, and its modulation in
-    ``modulation``; before it, these are empty.
+    ``near`` is the coordinate so far, float32, and ``variance`` its variance; ``rejection`` the
+    bits, uint16, shared by all axes. The finest fringe leaves its coordinate in full precision in
+    ``coordinate``, float64, and its modulation in ``modulation``, before it both are empty; and it
+    adds its mean level to ``ambient``, float32, shared too.
     """
 
     near: NDArray[np.float32]
@@ -147,12 +149,24 @@ def _fold_block(block, m, first, frames, weights, reference):  # type: ignore[no
     a0, a1, a2, a3 = weights[0, 0], weights[0, 1], weights[0, 2], weights[0, 3]
     c0, c1, c2, c3 = weights[1, 0], weights[1, 1], weights[1, 2], weights[1, 3]
     s0, s1, s2, s3 = weights[2, 0], weights[2, 1], weights[2, 2], weights[2, 3]
-    base = _ONE if first else _ZERO
+    if first:
+        for j in range(m):
+            r = _F(reference[j])
+            u0, u1 = _F(frame0[j]) - r, _F(frame1[j]) - r
+            u2, u3 = _F(frame2[j]) - r, _F(frame3[j]) - r
+            block[_A, j] = a0 * u0 + a1 * u1 + a2 * u2 + a3 * u3 + r
+            block[_C, j] = c0 * u0 + c1 * u1 + c2 * u2 + c3 * u3
+            block[_S, j] = s0 * u0 + s1 * u1 + s2 * u2 + s3 * u3
+            block[_SQUARES, j] = u0 * u0 + u1 * u1 + u2 * u2 + u3 * u3
+            low = u0 if u0 > u1 else u1
+            high = u2 if u2 > u3 else u3
+            block[_TOP, j] = r + (low if low > high else high)
+        return
     for j in range(m):
         r = _F(reference[j])
         u0, u1 = _F(frame0[j]) - r, _F(frame1[j]) - r
         u2, u3 = _F(frame2[j]) - r, _F(frame3[j]) - r
-        block[_A, j] += a0 * u0 + a1 * u1 + a2 * u2 + a3 * u3 + base * r
+        block[_A, j] += a0 * u0 + a1 * u1 + a2 * u2 + a3 * u3
         block[_C, j] += c0 * u0 + c1 * u1 + c2 * u2 + c3 * u3
         block[_S, j] += s0 * u0 + s1 * u1 + s2 * u2 + s3 * u3
         block[_SQUARES, j] += u0 * u0 + u1 * u1 + u2 * u2 + u3 * u3
@@ -163,13 +177,11 @@ def _fold_block(block, m, first, frames, weights, reference):  # type: ignore[no
 
 
 @njit(fastmath=_FAST, error_model="numpy")
-def _fit_block(block, m, reference, fringe, sample):  # type: ignore[no-untyped-def]
-    """Phase, its variance, modulation and flags of a block of folded steps."""
-    moments, gram = fringe.moments, fringe.gram
+def _vary_with_phase(block, m, moments, read, gain):  # type: ignore[no-untyped-def]
+    """Modulation, and the phase's variance for any steps."""
     m00, m01, m02 = moments[0, 0], moments[0, 1], moments[0, 2]
     m10, m11, m12 = moments[1, 0], moments[1, 1], moments[1, 2]
     m20, m21, m22 = moments[2, 0], moments[2, 1], moments[2, 2]
-    read, gain = sample.read, sample.gain
     for j in range(m):
         a, c, s = block[_A, j], block[_C, j], block[_S, j]
         power = c * c + s * s + _TINY
@@ -181,9 +193,27 @@ def _fit_block(block, m, reference, fringe, sample):  # type: ignore[no-untyped-
         light = light if light > _ZERO else _ZERO
         block[_VARIANCE, j] = (read * flat + gain * light) * inverse
         block[_MODULATION, j] = np.sqrt(power)
+
+
+@njit(fastmath=_FAST, error_model="numpy")
+def _fit_block(block, m, reference, fringe, sample):  # type: ignore[no-untyped-def]
+    """Phase, its variance, modulation and flags of a block of folded steps."""
+    read, gain = sample.read, sample.gain
+    if fringe.isotropic:
+        # The same at every phase, and by any light: even steps, four or more.
+        even = fringe.moments[0, 0]
+        for j in range(m):
+            a, c, s = block[_A, j], block[_C, j], block[_S, j]
+            power = c * c + s * s + _TINY
+            light = a if a > _ZERO else _ZERO
+            block[_VARIANCE, j] = even * (read + gain * light) / power
+            block[_MODULATION, j] = np.sqrt(power)
+    else:
+        _vary_with_phase(block, m, fringe.moments, read, gain)
     for j in range(m):
         turn = _turn(block[_C, j], block[_S, j]) - fringe.origin_turns
         block[_TURN, j] = turn - np.floor(turn)
+    gram = fringe.gram
     g00, g01, g02 = gram[0, 0], gram[0, 1] + gram[1, 0], gram[0, 2] + gram[2, 0]
     g11, g12, g22 = gram[1, 1], gram[1, 2] + gram[2, 1], gram[2, 2]
     for j in range(m):
@@ -269,8 +299,6 @@ def _begin_block(sums, start, m):  # type: ignore[no-untyped-def]
             kept = sums[k, start : start + m]
             for j in range(m):
                 block[k, j] = kept[j]
-    else:
-        block[:SUMS] = _ZERO
     return block
 
 
@@ -358,16 +386,17 @@ def _advance_block(block, m, start, step, state):  # type: ignore[no-untyped-def
     flags = state.rejection[start:end]
     _unwrap_block(block, m, step, near, spread, flags)
     square = _F(step.period) * _F(step.period)
-    level = state.ambient[start:end]
     for j in range(m):
         spread[j] = square * block[_VARIANCE, j]
-        level[j] += block[_A, j]
     if not state.coordinate.size:
         for j in range(m):
             near[j] = block[_FINE, j]
         return
     period, low, high = step.period, -_HALF, _F(step.extent) - _HALF
     final, contrast = state.coordinate[start:end], state.modulation[start:end]
+    level = state.ambient[start:end]
+    for j in range(m):
+        level[j] += block[_A, j]
     for j in range(m):
         final[j] = period * (np.float64(block[_ORDER, j]) + np.float64(block[_TURN, j]))
     for j in range(m):
@@ -490,14 +519,42 @@ def mask_rejected(rejection, coordinate, variance, provisional):  # type: ignore
     """
     accepted, unsettled = 0, 0
     settled = np.uint16(~provisional & 0xFFFF)
-    for j in prange(rejection.size):
-        if rejection[j] & settled:
-            coordinate[j] = np.nan
-            variance[j] = np.inf
-        else:
-            accepted += 1
-            unsettled += 1 if rejection[j] else 0
+    pixels = rejection.size
+    for number in prange((pixels + _BLOCK - 1) // _BLOCK):
+        start = number * _BLOCK
+        m = min(_BLOCK, pixels - start)
+        bits = rejection[start : start + m]
+        some = np.uint16(0)
+        for j in range(m):
+            some |= bits[j]
+        good, odd = m, 0
+        if some:
+            for j in range(m):
+                if bits[j] & settled:
+                    coordinate[start + j] = np.nan
+                    variance[start + j] = np.inf
+                    good -= 1
+                elif bits[j]:
+                    odd += 1
+        accepted += good
+        unsettled += odd
     return accepted, unsettled
+
+
+@njit(parallel=True, cache=True)
+def begin_axis(near, centre, variance):  # type: ignore[no-untyped-def]
+    """Nothing known: every coordinate at the centre, with no variance of its own."""
+    for j in prange(near.size):
+        near[j] = centre
+        variance[j] = _ZERO
+
+
+@njit(parallel=True, cache=True)
+def begin_pictures(ambient, rejection):  # type: ignore[no-untyped-def]
+    """No light, and nothing rejected."""
+    for j in prange(ambient.size):
+        ambient[j] = _ZERO
+        rejection[j] = np.uint16(0)
 
 
 @njit(parallel=True, cache=True)

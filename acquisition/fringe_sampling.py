@@ -37,7 +37,7 @@ from acquisition.sample_noise import SampleNoise, estimate_noise
 _FRINGES_AHEAD = 4
 _LEAST_UNSATURATED = 0.1
 # Pixels from which medians are taken.
-_FOR_MEDIANS = 8192
+_FOR_MEDIANS = 6144
 BAD_LIGHT = np.uint16(Rejection.LOW_MODULATION | Rejection.SATURATED)
 
 

@@ -25,6 +25,7 @@ from acquisition.sample_noise import QUANTISATION_VARIANCE, SampleNoise, fit_sam
 LevelAt = Callable[[float | None], NDArray[np.float32]]
 _Picture = Samples | NDArray[np.float32]
 _LEAST_SAMPLES = 100
+_SAMPLES = 8192
 
 
 @dataclass(frozen=True)
@@ -110,12 +111,12 @@ def read_words(
     -------
     (pixels,) int32 array
     """
-    words = np.zeros(stream.shape[0] * stream.shape[1], np.int32)
+    words = np.empty(stream.shape[0] * stream.shape[1], np.int32)
     for bit in range(0, code.length, 2):
         pair = _against(code, bit, stream, level_at)
         both = bit + 1 < code.length
         other = _against(code, bit + 1, stream, level_at) if both else pair
-        read_bits(words, *pair, *other, both)
+        read_bits(words, bit == 0, *pair, *other, both)
     return words
 
 
@@ -178,25 +179,25 @@ def decode_gray_alone(
     """
     opposed = _opposed(code, stream)
     pixels = len(rejection)
-    words = np.zeros(pixels, np.int32)
-    smallest = np.full(pixels, np.inf, np.float32)
+    words = np.empty(pixels, np.int32)
     second = opposed.largest_contrast
-    ambient = np.zeros(pixels, np.float32)
-    rows, differences = sample_rows(stream.shape), []
+    smallest = second.copy()
+    ambient = np.empty(pixels, np.float32)
+    sampled, differences = _sample(stream.shape), []
     for bit in range(0, code.length, 2):
         pair = opposed.pair(bit)
         both = bit + 1 < code.length
         other = opposed.pair(bit + 1) if both else pair
-        read_bits(words, *pair, *other, both)
+        read_bits(words, bit == 0, *pair, *other, both)
         weigh_bits(smallest, second, *pair, *other, both)
         if bit == 0:
             light = pair if len(code.bits[0]) == 1 else _shortest(code, stream)
             light_of_bit(*light, stream.plan.saturation_level, ambient, rejection)
         for picture, opposite in (pair, other)[: 1 + both]:
-            sampled = (p.reshape(stream.shape)[rows].ravel() for p in (picture, opposite))
-            differences.append(np.subtract(*sampled, dtype=np.float64))
-    lit = (rejection.reshape(stream.shape)[rows] == 0).ravel()
-    level = ambient.reshape(stream.shape)[rows].ravel()
+            two = (plane[sampled].astype(np.float64) for plane in (picture, opposite))
+            differences.append(np.subtract(*two))
+    lit = rejection[sampled] == 0
+    level = ambient[sampled]
     noise = noise or _noise_of_differences(
         np.stack(differences)[:, lit], level[lit], opposed.own_samples
     )
@@ -220,10 +221,17 @@ def decode_gray_alone(
     return DecodedCode(coordinate, modulation, ambient), noise
 
 
-def sample_rows(shape: tuple[int, int], samples: int = 32_768) -> NDArray[np.intp]:
+def sample_rows(shape: tuple[int, int], samples: int = 24_576) -> NDArray[np.intp]:
     """Rows, spread over a picture, that hold some number of pixels together."""
     rows, cols = shape
     return np.unique(np.linspace(0, rows - 1, max(1, min(rows, samples // cols))).astype(np.intp))
+
+
+def _sample(shape: tuple[int, int]) -> NDArray[np.intp]:
+    """Indices of some pixels, spread over a flat picture."""
+    rows = sample_rows(shape)
+    every = max(1, len(rows) * shape[1] // _SAMPLES)
+    return (rows[:, np.newaxis] * shape[1] + np.arange(0, shape[1], every)).ravel()
 
 
 def _noise_of_differences(
@@ -286,13 +294,14 @@ class _Opposed:
 
     ``pair`` takes a bit to its picture and its inverse. The difference of the two holds
     ``own_samples`` of independent noise, and ``shared_samples`` that are the same for all bits.
-    ``largest_contrast`` (pixels,) float32 is what a difference can be at most.
+    ``largest_contrast`` (pixels,) is what a difference can be at most, in the samples' type or in
+    float32.
     """
 
     pair: Callable[[int], tuple[_Picture, _Picture]]
     own_samples: float
     shared_samples: float
-    largest_contrast: NDArray[np.float32]
+    largest_contrast: _Picture
 
 
 def _shortest(code: GrayCode, stream: FrameStream) -> tuple[_Picture, _Picture]:
@@ -309,7 +318,9 @@ def _opposed(code: GrayCode, stream: FrameStream) -> _Opposed:
         )
     if not needs_level(code):
         exposures = max(len(frames) for frames in code.bits.values())
-        unbounded = np.full(pixels, np.inf, np.float32)
+        whole = exposures == 1
+        kind = np.dtype(stream.sample_type(code.bits[0][0].id) if whole else np.float32)
+        unbounded = np.full(pixels, np.iinfo(kind).max if whole else np.inf, kind)
         return _Opposed(
             lambda bit: _against(code, bit, stream, None), 2.0 * exposures, 0.0, unbounded
         )

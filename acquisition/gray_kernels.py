@@ -13,17 +13,21 @@ from acquisition.correspondence import Rejection
 
 _BLOCK = 2048
 _F = np.float32
+# Holds every sample and every difference of two exactly.
+_WIDE = np.float32
 _LOW_MODULATION = int(Rejection.LOW_MODULATION)
 _SATURATED = int(Rejection.SATURATED)
 
 
 @njit(parallel=True, cache=True)
-def read_bits(words, first, first_threshold, second, second_threshold, both):  # type: ignore[no-untyped-def]
+def read_bits(words, begin, first, first_threshold, second, second_threshold, both):  # type: ignore[no-untyped-def]
     """Append one bit, or two, to every pixel's word: 1 where a picture exceeds its threshold.
 
     Parameters
     ----------
     words : (pixels,) int32 array
+    begin : bool
+        Whether the words begin with this bit, whatever they are.
     first, second : (pixels,) uint8 or uint16 arrays
         Pictures of two bits, the more significant first.
     first_threshold, second_threshold : (pixels,) arrays
@@ -36,6 +40,8 @@ def read_bits(words, first, first_threshold, second, second_threshold, both):  #
         start = number * _BLOCK
         end = min(start + _BLOCK, pixels)
         word, m = words[start:end], end - start
+        if begin:
+            word[:] = 0
         bit, level = first[start:end], first_threshold[start:end]
         for j in range(m):
             word[j] = (word[j] << 1) | np.int32(bit[j] > level[j])
@@ -48,10 +54,11 @@ def read_bits(words, first, first_threshold, second, second_threshold, both):  #
 @njit
 def _weigh(low, next_low, bit, inverse):  # type: ignore[no-untyped-def]
     for j in range(low.size):
-        contrast = abs(_F(bit[j]) - _F(inverse[j]))
-        larger = contrast if contrast > low[j] else low[j]
-        next_low[j] = larger if larger < next_low[j] else next_low[j]
-        low[j] = contrast if contrast < low[j] else low[j]
+        contrast = abs(_WIDE(bit[j]) - _WIDE(inverse[j]))
+        lowest, second = _WIDE(low[j]), _WIDE(next_low[j])
+        larger = contrast if contrast > lowest else lowest
+        next_low[j] = larger if larger < second else second
+        low[j] = contrast if contrast < lowest else lowest
 
 
 @njit(parallel=True, cache=True)
@@ -63,8 +70,9 @@ def weigh_bits(least, second_least, first, first_inverse, second, second_inverse
 
     Parameters
     ----------
-    least, second_least : (pixels,) float32 arrays
-        Smallest differences between a bit and its inverse so far.
+    least, second_least : (pixels,) arrays
+        Smallest differences between a bit and its inverse so far, in the pictures' own type where
+        that is one of whole numbers.
     first, first_inverse, second, second_inverse : (pixels,) arrays
         Two bits, and their inverses.
     both : bool
@@ -82,7 +90,7 @@ def weigh_bits(least, second_least, first, first_inverse, second, second_inverse
 
 @njit(parallel=True, cache=True)
 def light_of_bit(bit, inverse, ceiling, ambient, rejection):  # type: ignore[no-untyped-def]
-    """Add the mean of a bit and its inverse to ``ambient``, and note where both are saturated."""
+    """Mean of a bit and its inverse, into ``ambient``, and bits where both are saturated."""
     pixels = ambient.size
     for number in prange((pixels + _BLOCK - 1) // _BLOCK):
         start = number * _BLOCK
@@ -90,7 +98,7 @@ def light_of_bit(bit, inverse, ceiling, ambient, rejection):  # type: ignore[no-
         a, b, m = bit[start:end], inverse[start:end], end - start
         level, flags = ambient[start:end], rejection[start:end]
         for j in range(m):
-            level[j] += _F(0.5) * (_F(a[j]) + _F(b[j]))
+            level[j] = _F(0.5) * (_F(a[j]) + _F(b[j]))
         for j in range(m):
             dimmer = _F(a[j]) if a[j] < b[j] else _F(b[j])
             flags[j] |= np.uint16(_SATURATED) if dimmer >= ceiling else np.uint16(0)
@@ -144,7 +152,7 @@ def judge_words(second_least, ambient, read, gain, contrast, least, modulation, 
         low, level, m = second_least[start:end], ambient[start:end], end - start
         half, bits = modulation[start:end], rejection[start:end]
         for j in range(m):
-            half[j] = _F(0.5) * low[j]
+            half[j] = _F(0.5) * _F(low[j])
         for j in range(m):
             # Half a difference of two samples has half their variance.
             noise = _F(0.5) * (read + gain * level[j])

@@ -43,11 +43,18 @@ def rows_with_jumps(x, y, half_x, half_y):  # type: ignore[no-untyped-def]
     return along, down
 
 
+@njit(inline="always")
+def _run_at(labels, slot, row, col):  # type: ignore[no-untyped-def]
+    """Number of a pixel's run in its row; -1 where there is no coordinate."""
+    return labels[slot[row], col] if slot[row] >= 0 else 0
+
+
 @njit(parallel=True, cache=True)
-def label_runs(x, y, half_x, half_y, along, labels):  # type: ignore[no-untyped-def]
+def label_runs(x, y, half_x, half_y, slot, labels):  # type: ignore[no-untyped-def]
     """Number the runs of every row that has a jump; -1 where there is no coordinate.
 
-    Rows without a jump are one run and their ``labels`` (rows, cols) int32 are not touched.
+    ``slot`` (rows,) names the line of ``labels`` (lines, cols) int32 that belongs to a row; rows
+    without a jump are one run and have none, -1.
 
     Returns
     -------
@@ -57,11 +64,12 @@ def label_runs(x, y, half_x, half_y, along, labels):  # type: ignore[no-untyped-
     rows, cols = x.shape
     runs = np.ones(rows, np.int64)
     for r in prange(rows):
-        if along[r]:
+        if slot[r] >= 0:
+            line = labels[slot[r]]
             label, inside = -1, False
             for c in range(cols):
                 if np.isnan(x[r, c]):
-                    labels[r, c], inside = -1, False
+                    line[c], inside = -1, False
                     continue
                 if (
                     not inside
@@ -69,7 +77,7 @@ def label_runs(x, y, half_x, half_y, along, labels):  # type: ignore[no-untyped-
                     or abs(y[r, c] - y[r, c - 1]) >= half_y
                 ):
                     label += 1
-                labels[r, c], inside = label, True
+                line[c], inside = label, True
             runs[r] = label + 1
     return runs
 
@@ -83,7 +91,7 @@ def _root(parent, run):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def join_runs(x, y, half_x, half_y, along, down, labels, first_run):  # type: ignore[no-untyped-def]
+def join_runs(x, y, half_x, half_y, slot, down, labels, first_run):  # type: ignore[no-untyped-def]
     """Component of every run, and the pixels of every component.
 
     ``first_run`` (rows + 1,) is the number of the first run of each row.
@@ -96,21 +104,22 @@ def join_runs(x, y, half_x, half_y, along, down, labels, first_run):  # type: ig
     parent = np.arange(first_run[rows])
     pixels = np.zeros(first_run[rows], np.int64)
     for r in range(rows):
-        if not along[r]:
+        if slot[r] < 0:
             pixels[first_run[r]] = cols
         else:
             for c in range(cols):
-                if labels[r, c] >= 0:
-                    pixels[first_run[r] + labels[r, c]] += 1
+                run = labels[slot[r], c]
+                if run >= 0:
+                    pixels[first_run[r] + run] += 1
         if r + 1 == rows:
             continue
-        if not (along[r] or along[r + 1] or down[r]):
+        if slot[r] < 0 and slot[r + 1] < 0 and not down[r]:
             parent[_root(parent, first_run[r + 1])] = _root(parent, first_run[r])
             continue
         last_above, last_below = -1, -1
         for c in range(cols):
-            above = labels[r, c] if along[r] else 0
-            below = labels[r + 1, c] if along[r + 1] else 0
+            above = _run_at(labels, slot, r, c)
+            below = _run_at(labels, slot, r + 1, c)
             if above < 0 or below < 0 or (above == last_above and below == last_below):
                 continue
             if abs(x[r + 1, c] - x[r, c]) < half_x and abs(y[r + 1, c] - y[r, c]) < half_y:
@@ -146,14 +155,14 @@ def _compare(x, y, variance_x, variance_y, here, there, apart, periods, slopes, 
 
 
 @njit(inline="always")
-def _next_along(r, c, step_down, rows, cols, along, labels):  # type: ignore[no-untyped-def]
+def _next_along(r, c, step_down, rows, cols, slot, labels):  # type: ignore[no-untyped-def]
     """Next pixel with a coordinate to the right or below, not far off, and its run's label."""
     nr, nc = r, c
     for _ in range(_REACH + 1):
         nr, nc = nr + step_down, nc + 1 - step_down
         if nr >= rows or nc >= cols:
             return nr, nc, -1
-        there = labels[nr, nc] if along[nr] else 0
+        there = _run_at(labels, slot, nr, nc)
         if there >= 0:
             return nr, nc, there
     return nr, nc, -1
@@ -161,7 +170,7 @@ def _next_along(r, c, step_down, rows, cols, along, labels):  # type: ignore[no-
 
 @njit(cache=True)
 def list_jumps(  # type: ignore[no-untyped-def]
-    x, y, variance_x, variance_y, periods, slopes, along, down, labels, first_run, component
+    x, y, variance_x, variance_y, periods, slopes, slot, down, labels, first_run, component
 ):
     """Pairs of neighbouring pixels of different components.
 
@@ -183,13 +192,13 @@ def list_jumps(  # type: ignore[no-untyped-def]
     jump = np.zeros(2, np.int64)
     for r in range(rows):
         for step_down in range(2):
-            if not (down[r] if step_down else along[r]) or r + step_down == rows:
+            if not (down[r] if step_down else slot[r] >= 0) or r + step_down == rows:
                 continue
             for c in range(cols):
-                here = labels[r, c] if along[r] else 0
+                here = _run_at(labels, slot, r, c)
                 if here < 0:
                     continue
-                nr, nc, there = _next_along(r, c, step_down, rows, cols, along, labels)
+                nr, nc, there = _next_along(r, c, step_down, rows, cols, slot, labels)
                 if there < 0 or (not step_down and there == here):
                     continue
                 a, b = component[first_run[r] + here], component[first_run[nr] + there]
@@ -275,7 +284,7 @@ def judge_components(order, rank, first_jump, jumps, sizes, small, agreement):  
 
 @njit(parallel=True, cache=True)
 def apply_verdicts(  # type: ignore[no-untyped-def]
-    coordinate, period, extent, shifts, verdict, along, labels, first_run, component, wrong
+    coordinate, period, extent, shifts, verdict, slot, labels, first_run, component, wrong
 ):
     """Shift the components of one axis that are repaired, and mark those that are rejected.
 
@@ -285,7 +294,7 @@ def apply_verdicts(  # type: ignore[no-untyped-def]
     rows, cols = coordinate.shape
     for r in prange(rows):
         for c in range(cols):
-            run = labels[r, c] if along[r] else 0
+            run = _run_at(labels, slot, r, c)
             if run < 0:
                 continue
             of = component[first_run[r] + run]
@@ -301,7 +310,7 @@ def apply_verdicts(  # type: ignore[no-untyped-def]
 
 
 @njit(parallel=True, cache=True)
-def reject_unsupported(uncertain, along, labels, first_run, component, supported, wrong):  # type: ignore[no-untyped-def]
+def reject_unsupported(uncertain, slot, labels, first_run, component, supported, wrong):  # type: ignore[no-untyped-def]
     """Mark uncertain pixels (rows, cols) of components that are not supported.
 
     ``uncertain`` holds bits, uncertain where not 0; ``supported`` (components,) bool.
@@ -309,7 +318,7 @@ def reject_unsupported(uncertain, along, labels, first_run, component, supported
     rows, cols = uncertain.shape
     for r in prange(rows):
         for c in range(cols):
-            run = labels[r, c] if along[r] else 0
+            run = _run_at(labels, slot, r, c)
             if run >= 0 and uncertain[r, c] and not supported[component[first_run[r] + run]]:
                 wrong[r, c] = True
 

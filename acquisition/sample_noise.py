@@ -78,13 +78,14 @@ def fit_sample_noise(
     -------
     SampleNoise
     """
-    order = np.argsort(level)
-    groups = np.array_split(order, min(bins, max(1, len(order) // 50)))
-    levels = np.array([np.median(level[g]) for g in groups])
-    variances = np.array([np.median(residual_sum[g]) for g in groups])
+    groups = max(1, min(bins, len(level) // 50))
+    each = len(level) // groups
+    order = np.argsort(level)[: groups * each].reshape(groups, each)
+    levels = np.median(level[order], axis=1)
+    variances = np.median(residual_sum[order], axis=1)
     variances = variances / stats.chi2.median(degrees_of_freedom)
     floor = QUANTISATION_VARIANCE
-    if len(groups) < 3 or np.ptp(levels) < 1e-3 * max(1.0, abs(levels).max()):
+    if groups < 3 or np.ptp(levels) < 1e-3 * max(1.0, abs(levels).max()):
         return SampleNoise(max(floor, float(np.median(variances))), 0.0, origin)
     # Relative errors of the bins are alike, so weight by the inverse of the fitted variance.
     expected = np.full_like(variances, np.median(variances))
@@ -94,7 +95,7 @@ def fit_sample_noise(
         weighted = design * weight[:, np.newaxis]
         read, gain = np.linalg.lstsq(weighted, variances * weight, rcond=None)[0]
         expected = design @ [read, gain]
-    scatter = _MEDIAN_EXCESS * np.sqrt(2 / (degrees_of_freedom * len(level) / len(groups)))
+    scatter = _MEDIAN_EXCESS * np.sqrt(2 / (degrees_of_freedom * each))
     gain_error = scatter * np.sqrt(np.linalg.pinv(weighted.T @ weighted)[1, 1])
     if gain < _SIGNIFICANT * gain_error:
         # Over levels this much alike a slope would be noise, and would spread the variances.

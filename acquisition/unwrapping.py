@@ -151,12 +151,14 @@ def check_orders(
     along, down = kernels.rows_with_jumps(x, y, *halves)
     if not along.any() and not down.any() and x.size > small:
         return OrderCheck(coordinates, wrong, 0, 0)
-    labels = np.empty(x.shape, np.int32)
-    runs = kernels.label_runs(x, y, *halves, along, labels)
+    broken = along > 0
+    slot = np.where(broken, np.cumsum(broken) - 1, -1)
+    labels = np.empty((int(broken.sum()), x.shape[1]), np.int32)
+    runs = kernels.label_runs(x, y, *halves, slot, labels)
     first_run = np.concatenate([[0], np.cumsum(runs)])
     if first_run[-1] == 0:
         return OrderCheck(coordinates, wrong, 0, 0)
-    component, sizes = kernels.join_runs(x, y, *halves, along, down, labels, first_run)
+    component, sizes = kernels.join_runs(x, y, *halves, slot, down, labels, first_run)
     jumps = kernels.list_jumps(
         x,
         y,
@@ -164,7 +166,7 @@ def check_orders(
         second.variance,
         np.array([first.period_px, second.period_px]),
         slopes,
-        along,
+        slot,
         down,
         labels,
         first_run,
@@ -172,7 +174,7 @@ def check_orders(
     )
     verdict, shift = _judge(jumps, sizes, small, agreement)
     _refuse_contradiction(names, verdict, shift, sizes, contradicted_share)
-    where = (along, labels, first_run, component)
+    where = (slot, labels, first_run, component)
     if verdict.any():
         for name, moves in zip(names, shift.T, strict=False):
             unwrapped, moved = axes[name], coordinates[name].copy()
