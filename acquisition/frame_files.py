@@ -1,10 +1,17 @@
 """One frame, one file: lossless PNG, sensor numbers as they came.
 
-PNG carries a checksum of its own, holds 8 and 16 bits, and opens everywhere.
+PNG (ISO/IEC 15948) carries a checksum of its own, holds 8 and 16 bits, and opens everywhere. It is
+written here, because nearly all of what it can save of a noisy frame comes from coding differences
+of neighbours by their frequency; looking for repetitions besides, as encoders do, takes twice as
+long and finds hardly any. Rows are compressed in two strips at once, joined as ``pigz`` joins its
+blocks: each strip ends on a byte, and the checksum is over both.
 """
 
 from __future__ import annotations
 
+import struct
+import zlib
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import cv2
@@ -15,8 +22,16 @@ from acquisition.errors import SessionError
 
 Samples = NDArray[np.uint8] | NDArray[np.uint16]
 SUFFIX = ".png"
-# Fast: fringes compress little better with more effort.
-_COMPRESSION = 1
+
+_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_GREY = 0
+# Filters: a sample less its left neighbour, or less the one above.
+_LEFT, _ABOVE = 1, 2
+# Deflate, window of 32 KiB, fastest: RFC 1950.
+_ZLIB_HEADER = b"\x78\x01"
+_STRIPS = 2
+# Rows that tell which neighbour is more alike, about.
+_ROWS = 64
 
 
 def encode_frame(image: Samples, *, name: str) -> bytes:
@@ -32,21 +47,25 @@ def encode_frame(image: Samples, *, name: str) -> bytes:
     Raises
     ------
     SessionError
-        Another shape or type.
+        Another shape or type, or no sample.
     """
-    if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
+    if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16) or image.size == 0:
         raise SessionError(
             f"frame {name}: {image.dtype} of shape {image.shape}; frames are two-dimensional, "
             "8 or 16 bit"
         )
-    done, encoded = cv2.imencode(SUFFIX, image, [cv2.IMWRITE_PNG_COMPRESSION, _COMPRESSION])
-    if not done:
-        raise SessionError(f"frame {name}: cannot be encoded as PNG")
-    return encoded.tobytes()
+    rows, cols = image.shape
+    header = struct.pack(">IIBBBBB", cols, rows, 8 * image.dtype.itemsize, _GREY, 0, 0, 0)
+    filtered = _filter_rows(image)
+    content = (
+        _ZLIB_HEADER + b"".join(_deflate(filtered)) + struct.pack(">I", zlib.adler32(filtered.data))
+    )
+    parts = ((b"IHDR", header), (b"IDAT", content), (b"IEND", b""))
+    return _SIGNATURE + b"".join(_chunk(kind, part) for kind, part in parts)
 
 
 def decode_frame(content: bytes, *, path: Path) -> Samples:
-    """Decode what :func:`encode_frame` wrote.
+    """Decode what :func:`encode_frame` wrote, or any other grey PNG.
 
     Raises
     ------
@@ -57,3 +76,51 @@ def decode_frame(content: bytes, *, path: Path) -> Samples:
     if image is None:
         raise SessionError(f"{path}: truncated, or not a picture")
     return image  # type: ignore[return-value]
+
+
+def _filter_rows(image: Samples) -> NDArray[np.uint8]:
+    """Rows of bytes, each after the number of its filter; differences are modulo 256."""
+    rows, cols = image.shape
+    depth = image.dtype.itemsize
+    samples = np.ascontiguousarray(image, image.dtype.newbyteorder(">")).view(np.uint8)
+    filtered = np.empty((rows, 1 + cols * depth), np.uint8)
+    if _is_smoother_down(image):
+        filtered[:, 0] = _ABOVE
+        filtered[0, 1:] = samples[0]
+        np.subtract(samples[1:], samples[:-1], out=filtered[1:, 1:])
+    else:
+        filtered[:, 0] = _LEFT
+        filtered[:, 1 : 1 + depth] = samples[:, :depth]
+        np.subtract(samples[:, depth:], samples[:, :-depth], out=filtered[:, 1 + depth :])
+    return filtered
+
+
+def _is_smoother_down(image: Samples) -> bool:
+    """Whether samples are more like those above them than like those to their left."""
+    step = max(1, len(image) // _ROWS)
+    below, above = image[1::step], image[:-1:step]
+    if below.size == 0 or image.shape[1] < 2:
+        return below.size > 0
+    down = np.abs(below.astype(np.int32) - above)
+    across = np.abs(np.diff(below.astype(np.int32), axis=1))
+    # Of logarithms, which are about what differences cost.
+    return float(np.log2(1 + down).mean()) <= float(np.log2(1 + across).mean())
+
+
+def _deflate(filtered: NDArray[np.uint8]) -> list[bytes]:
+    """Raw deflate of all rows, in parts to be joined."""
+    strips = [strip for strip in np.array_split(filtered, _STRIPS) if len(strip)]
+
+    def compress(number: int) -> bytes:
+        coder = zlib.compressobj(1, zlib.DEFLATED, -15, 9, zlib.Z_RLE)
+        last = number == len(strips) - 1
+        compressed = coder.compress(strips[number].data)
+        return compressed + coder.flush(zlib.Z_FINISH if last else zlib.Z_FULL_FLUSH)
+
+    with ThreadPoolExecutor(len(strips)) as threads:
+        return list(threads.map(compress, range(len(strips))))
+
+
+def _chunk(kind: bytes, content: bytes) -> bytes:
+    checksum = zlib.crc32(content, zlib.crc32(kind))
+    return b"".join((struct.pack(">I", len(content)), kind, content, struct.pack(">I", checksum)))
