@@ -207,7 +207,7 @@ class FringeDecoder:
     ) -> UnwrapStep:
         """How far the fringe's coordinate may be from what came before."""
         period = fringe.period_px
-        half_width, reach, mixed = period / 2, float("inf"), float("inf")
+        half_width, reach, mixed, systematic = period / 2, *[float("inf")] * 3
         if isinstance(coarse, GrayCode):
             # Half a cell, and room for blurred edges and harmonics, but less than half a period, at
             # which nothing would contradict anything.
@@ -219,6 +219,7 @@ class FringeDecoder:
             apart, variance = self._disagreement(fringe, sampled, state)
             half_width = systematic_disagreement(apart, variance, largest=period / 2)
             reach = period / 2 - half_width
+            systematic = half_width**2 / 2
             mixed = disagreement_limit(fringe, self.sampler.alarm)
         return UnwrapStep(
             float(period),
@@ -231,6 +232,7 @@ class FringeDecoder:
                     certainty_sigmas(self.sampler.options.wrong_order_probability),
                     certainty_sigmas(self.sampler.options.borne_out_probability),
                     reach,
+                    systematic,
                     extent,
                 )
             ),

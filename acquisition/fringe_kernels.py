@@ -41,10 +41,11 @@ _ATAN = (
 _T0, _T1, _T2, _T3, _T4, _T5, _T6, _T7 = (_F(c) for c in _ATAN)
 
 # Rows of a block's working array.
-_A, _C, _S, _SQUARES, _TOP, _TURN, _VARIANCE, _MODULATION, _MISFIT, _FLAGS, _ORDER, _FINE = range(
-    12
-)
-_WORKING_ROWS = 12
+_A, _C, _S, _SQUARES, _TOP = range(5)
+_TURN, _VARIANCE, _MODULATION, _MISFIT, _FLAGS = range(5, 10)
+_WORKING_ROWS = 10
+# Rows no longer wanted once a fringe is fitted.
+_ORDER, _FINE, _PULL = _SQUARES, _TOP, _C
 SUMS = 5  # of these, what is kept between groups of steps: A, c, s, squares, top
 
 _LOW_MODULATION = int(Rejection.LOW_MODULATION)
@@ -97,7 +98,9 @@ class UnwrapStep(NamedTuple):
     The two may differ by ``half_width`` (of the coarse coordinate's cell, and systematic) plus
     ``sigmas`` standard deviations; beyond ``mixed_sigmas`` the light is mixed. The order is too
     uncertain where ``certain_sigmas`` standard deviations exceed ``reach``, and cannot be borne out
-    by neighbours where ``borne_out_sigmas`` do. The panel has ``extent`` pixels.
+    by neighbours where ``borne_out_sigmas`` do. Where it is certain, the coarse coordinate adds to
+    the fine one by inverse variance, its own increased by ``systematic`` (infinite: it adds
+    nothing). The panel has ``extent`` pixels.
     """
 
     period: float
@@ -107,6 +110,7 @@ class UnwrapStep(NamedTuple):
     certain_sigmas: np.float32
     borne_out_sigmas: np.float32
     reach: np.float32
+    systematic: np.float32
     extent: np.float32
 
 
@@ -264,7 +268,10 @@ def _correct_block(block, m, series):  # type: ignore[no-untyped-def]
 
 @njit(fastmath=_FAST, error_model="numpy")
 def _unwrap_block(block, m, step, near, variance, rejection):  # type: ignore[no-untyped-def]
-    """Order nearest to the coarse coordinate, and flags where the two contradict."""
+    """Order nearest to the coarse coordinate, what both give together, and their contradictions.
+
+    From here on the block holds the variance of the coordinate, not of the phase.
+    """
     period = _F(step.period)
     square = period * period
     inverse = _ONE / period
@@ -274,17 +281,24 @@ def _unwrap_block(block, m, step, near, variance, rejection):  # type: ignore[no
         fine = period * (order + turn)
         block[_ORDER, j] = order
         block[_FINE, j] = fine
-        spread = np.sqrt(square * block[_VARIANCE, j] + variance[j])
+        own = square * block[_VARIANCE, j]
+        joint = own + variance[j]
+        spread = np.sqrt(joint)
         apart = abs(fine - near[j]) - step.half_width
-        # Written so that what is not a number contradicts.
         # The spread follows from a modulation that is itself uncertain by the phase's noise, and
         # those who pass a limit on it are the overrated: one standard deviation is allowed for.
         rated = spread * (_ONE + _TWO_PI * np.sqrt(block[_VARIANCE, j]))
+        certain = step.certain_sigmas * rated <= step.reach
+        # Written so that what is not a number contradicts.
         wrong = not (apart <= step.sigmas * spread and step.borne_out_sigmas * rated <= step.reach)
         flags = _F(_WRONG_ORDER) if wrong else _ZERO
-        flags += _F(UNCERTAIN_ORDER) if step.certain_sigmas * rated > step.reach else _ZERO
+        flags += _ZERO if certain else _F(UNCERTAIN_ORDER)
         flags += _F(_MIXED_LIGHT) if apart > step.mixed_sigmas * spread else _ZERO
         block[_MISFIT, j] = flags
+        # What the coarse coordinate adds to the fine one, by inverse variance.
+        share = own / (joint + step.systematic) if certain else _ZERO
+        block[_PULL, j] = share * (near[j] - fine)
+        block[_VARIANCE, j] = own - share * own
     for j in range(m):
         both = np.int32(block[_FLAGS, j]) | np.int32(block[_MISFIT, j])
         rejection[j] |= np.uint16(both)
@@ -385,12 +399,11 @@ def _advance_block(block, m, start, step, state):  # type: ignore[no-untyped-def
     near, spread = state.near[start:end], state.variance[start:end]
     flags = state.rejection[start:end]
     _unwrap_block(block, m, step, near, spread, flags)
-    square = _F(step.period) * _F(step.period)
     for j in range(m):
-        spread[j] = square * block[_VARIANCE, j]
+        spread[j] = block[_VARIANCE, j]
     if not state.coordinate.size:
         for j in range(m):
-            near[j] = block[_FINE, j]
+            near[j] = block[_FINE, j] + block[_PULL, j]
         return
     period, low, high = step.period, -_HALF, _F(step.extent) - _HALF
     final, contrast = state.coordinate[start:end], state.modulation[start:end]
@@ -398,7 +411,8 @@ def _advance_block(block, m, start, step, state):  # type: ignore[no-untyped-def
     for j in range(m):
         level[j] += block[_A, j]
     for j in range(m):
-        final[j] = period * (np.float64(block[_ORDER, j]) + np.float64(block[_TURN, j]))
+        fine = period * (np.float64(block[_ORDER, j]) + np.float64(block[_TURN, j]))
+        final[j] = fine + np.float64(block[_PULL, j])
     for j in range(m):
         contrast[j] = block[_MODULATION, j]
     for j in range(m):

@@ -189,17 +189,23 @@ def list_jumps(  # type: ignore[no-untyped-def]
     """
     rows, cols = x.shape
     found, count = np.empty((1024, 5), np.int64), 0
+    half_x, half_y = 0.5 * periods[0], 0.5 * periods[1]
     jump = np.zeros(2, np.int64)
     for r in range(rows):
         for step_down in range(2):
             if not (down[r] if step_down else slot[r] >= 0) or r + step_down == rows:
                 continue
             for c in range(cols):
+                nr, nc = r + step_down, c + 1 - step_down
+                if nc < cols and (
+                    abs(x[nr, nc] - x[r, c]) < half_x and abs(y[nr, nc] - y[r, c]) < half_y
+                ):
+                    continue
                 here = _run_at(labels, slot, r, c)
                 if here < 0:
                     continue
                 nr, nc, there = _next_along(r, c, step_down, rows, cols, slot, labels)
-                if there < 0 or (not step_down and there == here):
+                if there < 0:
                     continue
                 a, b = component[first_run[r] + here], component[first_run[nr] + there]
                 if a == b:

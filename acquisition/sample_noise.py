@@ -57,11 +57,12 @@ def fit_sample_noise(
     degrees_of_freedom: int,
     origin: str,
     bins: int = 16,
+    quantile: float = 0.5,
 ) -> SampleNoise:
     """Fit ``read + gain * level`` to sums of squared residuals.
 
-    Medians per bin of level keep pixels out that the fringe model does not describe (edges,
-    highlights, shadows); the median of a chi-square variable is then brought back to its mean.
+    Quantiles per bin of level keep pixels out that the fringe model does not describe (edges,
+    highlights, shadows); that of a chi-square variable is then brought back to its mean.
 
     Parameters
     ----------
@@ -73,6 +74,10 @@ def fit_sample_noise(
         Kept in the result.
     bins : int
         Number of bins of equal population.
+    quantile : float
+        The median is the most robust. Where the terms of a sum have unequal variances, as photon
+        noise gives them, it understates the mean, by up to 9 % in variance for five steps and more;
+        a quantile of 0.7 then does by 1 to 5 %.
 
     Returns
     -------
@@ -82,8 +87,8 @@ def fit_sample_noise(
     each = len(level) // groups
     order = np.argsort(level)[: groups * each].reshape(groups, each)
     levels = np.median(level[order], axis=1)
-    variances = np.median(residual_sum[order], axis=1)
-    variances = variances / stats.chi2.median(degrees_of_freedom)
+    variances = np.quantile(residual_sum[order], quantile, axis=1)
+    variances = variances / stats.chi2.ppf(quantile, degrees_of_freedom)
     floor = QUANTISATION_VARIANCE
     if groups < 3 or np.ptp(levels) < 1e-3 * max(1.0, abs(levels).max()):
         return SampleNoise(max(floor, float(np.median(variances))), 0.0, origin)
@@ -136,6 +141,7 @@ def estimate_noise(
                 np.concatenate([level for level, _ in found]),
                 np.concatenate([squares for _, squares in found]),
                 degrees_of_freedom=freedom,
+                quantile=0.5 if freedom == 1 else 0.7,
                 origin=f"white part of the residual of {freedom + 3} phase steps",
             )
     if len(fringes) > 1:

@@ -137,11 +137,19 @@ def unwrapped(turns, variance, near, near_variance, step):
     return state
 
 
-def unwrap_step(
-    *, period, half_width=0.0, sigmas=6.0, mixed=1e9, certain=0.0, borne=0.0, reach=1e9
-):
-    values = (half_width, sigmas, mixed, certain, borne, reach, 512.0)
-    return UnwrapStep(period, *map(np.float32, values))
+def unwrap_step(*, period, **limits):
+    step = UnwrapStep(
+        period=period,
+        half_width=0.0,
+        sigmas=6.0,
+        mixed_sigmas=1e9,
+        certain_sigmas=0.0,
+        borne_out_sigmas=0.0,
+        reach=1e9,
+        systematic=np.inf,
+        extent=512.0,
+    )._replace(**limits)
+    return UnwrapStep(step.period, *map(np.float32, step[1:]))
 
 
 def test_orders_agree_with_a_search_over_all():
@@ -165,22 +173,44 @@ def test_orders_agree_with_a_search_over_all():
     )
 
 
+def test_a_coarse_coordinate_adds_what_it_knows():
+    random = np.random.default_rng(4)
+    turns, offset = random.uniform(0.1, 0.9, 1000), random.uniform(-2, 2, 1000)
+    variance, near_variance = random.uniform(1e-5, 1e-3, 1000), random.uniform(0.1, 4, 1000)
+    fine = 20.0 * (3 + turns)
+    near = fine + offset
+    state = unwrapped(
+        turns, variance, near, near_variance, unwrap_step(period=20.0, systematic=0.5)
+    )
+    own, other = 400 * variance, near_variance + 0.5
+    together = (fine / own + near / other) / (1 / own + 1 / other)
+    np.testing.assert_allclose(state.coordinate, together, atol=2e-5)
+    np.testing.assert_allclose(state.variance, 1 / (1 / own + 1 / other), rtol=1e-4)
+    # Where the order is not certain, nothing may pull the coordinate off the fringe.
+    unsure = unwrap_step(period=20.0, systematic=0.5, certain_sigmas=10.0, reach=1e-3)
+    state = unwrapped(turns, variance, near, near_variance, unsure)
+    np.testing.assert_allclose(state.coordinate, fine, atol=1e-5)
+    np.testing.assert_allclose(state.variance, own, rtol=1e-5)
+
+
 def test_orders_that_noise_could_change_are_uncertain_or_rejected():
     spread = np.array([1.0, 2.0, 4.0, np.nan])
     near, nothing = np.full(4, 100.0), np.zeros(4)
-    step = unwrap_step(period=20.0, certain=4.0, borne=2.0, reach=6.0, sigmas=50.0)
+    step = unwrap_step(
+        period=20.0, certain_sigmas=4.0, borne_out_sigmas=2.0, reach=6.0, sigmas=50.0
+    )
     state = unwrapped(nothing, nothing, near, spread**2, step)
     assert list(state.rejection) == [
         0,
         UNCERTAIN_ORDER,
         UNCERTAIN_ORDER | Rejection.WRONG_ORDER,
-        Rejection.WRONG_ORDER,
+        UNCERTAIN_ORDER | Rejection.WRONG_ORDER,
     ]
 
 
 def test_a_coarse_fringe_far_off_means_mixed_light():
     near = np.array([101.0, 104.0])
-    step = unwrap_step(period=20.0, mixed=3.0)
+    step = unwrap_step(period=20.0, mixed_sigmas=3.0)
     state = unwrapped(np.zeros(2), np.zeros(2), near, np.ones(2), step)
     assert list(state.rejection) == [0, Rejection.MIXED_LIGHT]
 
