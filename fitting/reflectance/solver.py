@@ -60,8 +60,8 @@ class SolverOptions:
 
     starts: int = 2
     start_ratios: tuple[float, ...] = (0.86, 1.0, 1.16)
-    weak_starts: int = 6
-    weak_start_ratios: tuple[float, ...] = (0.8, 0.9, 1.0, 1.1, 1.25)
+    weak_starts: int = 8
+    weak_start_ratios: tuple[float, ...] = (0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.45)
     huber_limit: float = 3.0
     skip_diffuse: bool = True
     false_alarm_rate: float = 1e-3

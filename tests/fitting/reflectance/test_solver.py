@@ -252,6 +252,24 @@ def test_whatever_is_measured_results_are_finite(kind, material, skip):
         assert np.all(fits.lobes.diffuse[:, 1] == 0)
 
 
+def test_lobes_that_come_from_the_prior_say_so():
+    truth = make_lobes(400, np.random.default_rng(16))
+    faint = fit_texels(observe(truth, 8, 16, noise=20.0), [KNOWN])
+    borrowed = faint.flagged(TexelFlag.LOBE_FROM_PRIOR)
+    assert 0.01 < borrowed[faint.has_highlight].mean() < 0.5
+    assert faint.standard_errors[borrowed, 0].min() > 0.8 * 0.4
+    clear = fit_texels(observe(truth, 96, 16), [KNOWN])
+    assert clear.flagged(TexelFlag.LOBE_FROM_PRIOR).mean() < 0.02
+
+
+def test_exponents_at_the_end_of_their_range_are_flagged():
+    truth = make_lobes(200, np.random.default_rng(17), ln_k=(0, 0), ln_r=(0, 0))
+    fits = fit_texels(observe(truth, 96, 17))
+    at_end = fits.lobes.shape[:, 0] == 0
+    assert 0.2 < at_end.mean() < 0.8
+    assert fits.flagged(TexelFlag.AT_BOUND)[at_end].all()
+
+
 def test_bad_texels_do_not_touch_their_neighbours():
     samples = observe(make_lobes(200, np.random.default_rng(12)), 60, 12)
     radiance = samples.radiance.copy()

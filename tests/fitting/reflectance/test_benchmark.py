@@ -1,0 +1,16 @@
+from __future__ import annotations
+
+from workstation.benchmarks.reflectance import bench
+
+
+def test_records_without_measured_data(monkeypatch):
+    monkeypatch.delenv("IMPASTO_REAL_DATA", raising=False)
+    records = {record.name: record for record in bench(oracle_texels=8, timed_texels=640)}
+    assert set(records) == {
+        "oracle.share_within",
+        "solver.texels_per_s",
+        "solver.speed_over_nlopt",
+        "solver.time_growth",
+    }
+    assert records["oracle.share_within"].value >= 0.75
+    assert records["solver.texels_per_s"].value > 0
