@@ -22,7 +22,6 @@ from acquisition.fringe_kernels import (
     UnwrapStep,
     advance,
     advance_fitted,
-    begin_axis,
     merge_exposures,
     subtract_series,
 )
@@ -113,7 +112,8 @@ class FringeDecoder:
             _ = fringe.solution  # refuse what cannot be decoded before anything is read
         pixels = len(self.shared.rejection)
         near, variance = self._near, np.empty(pixels, np.float32)
-        begin_axis(near, (extent - 1) / 2, variance)
+        if code is not None:
+            variance.fill(0.0)
         if code is not None and not needs_level(code):
             cell_coordinates(code, read_words(code, self.sampler.stream), near)
         coarse: Fringe | GrayCode | None = code
@@ -223,6 +223,8 @@ class FringeDecoder:
             mixed = disagreement_limit(fringe, self.sampler.alarm)
         return UnwrapStep(
             float(period),
+            coarse is None,
+            np.float32((extent - 1) / 2),
             *(
                 np.float32(value)
                 for value in (

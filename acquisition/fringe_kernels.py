@@ -95,6 +95,8 @@ class FringeModel(NamedTuple):
 class UnwrapStep(NamedTuple):
     """How a fringe is unwrapped by a coarse coordinate: the period float64, the rest float32.
 
+    For the ``first`` fringe, where nothing is known before it, the coarse coordinate is ``centre``,
+    of no variance.
     The two may differ by ``half_width`` (of the coarse coordinate's cell, and systematic) plus
     ``sigmas`` standard deviations; beyond ``mixed_sigmas`` the light is mixed. The order is too
     uncertain where ``certain_sigmas`` standard deviations exceed ``reach``, and cannot be borne out
@@ -104,6 +106,8 @@ class UnwrapStep(NamedTuple):
     """
 
     period: float
+    first: bool
+    centre: np.float32
     half_width: np.float32
     sigmas: np.float32
     mixed_sigmas: np.float32
@@ -220,24 +224,21 @@ def _fit_block(block, m, reference, fringe, sample):  # type: ignore[no-untyped-
     gram = fringe.gram
     g00, g01, g02 = gram[0, 0], gram[0, 1] + gram[1, 0], gram[0, 2] + gram[2, 0]
     g11, g12, g22 = gram[1, 1], gram[1, 2] + gram[2, 1], gram[2, 2]
-    for j in range(m):
-        a, c, s = block[_A, j] - _F(reference[j]), block[_C, j], block[_S, j]
-        explained = a * (g00 * a + g01 * c + g02 * s) + c * (g11 * c + g12 * s) + g22 * s * s
-        left = block[_SQUARES, j] - explained
-        block[_MISFIT, j] = left if left > _ZERO else _ZERO
     limit, harmonics = fringe.squares_limit, fringe.harmonics
     floor, contrast2 = sample.least * sample.least, sample.contrast * sample.contrast
     for j in range(m):
-        a = block[_A, j]
+        a, c, s = block[_A, j], block[_C, j], block[_S, j]
+        u = a - _F(reference[j])
+        explained = u * (g00 * u + g01 * c + g02 * s) + c * (g11 * c + g12 * s) + g22 * s * s
+        left = block[_SQUARES, j] - explained
         noise = read + gain * (a if a > _ZERO else _ZERO)
         b = block[_MODULATION, j]
         low = b * b <= floor + contrast2 * noise or b * b <= _TINY + _TINY
         allowed = np.sqrt(limit * noise) + harmonics * b
-        mixed = block[_MISFIT, j] > allowed * allowed
-        full = block[_TOP, j] >= sample.saturation
         flags = _F(_LOW_MODULATION) if low else _ZERO
-        flags += _F(_MIXED_LIGHT) if mixed else _ZERO
-        flags += _F(_SATURATED) if full else _ZERO
+        flags += _F(_MIXED_LIGHT) if left > allowed * allowed else _ZERO
+        flags += _F(_SATURATED) if block[_TOP, j] >= sample.saturation else _ZERO
+        block[_MISFIT, j] = left if left > _ZERO else _ZERO
         block[_FLAGS, j] = flags
 
 
@@ -398,6 +399,10 @@ def _advance_block(block, m, start, step, state):  # type: ignore[no-untyped-def
     end = start + m
     near, spread = state.near[start:end], state.variance[start:end]
     flags = state.rejection[start:end]
+    if step.first:
+        for j in range(m):
+            near[j] = step.centre
+            spread[j] = _ZERO
     _unwrap_block(block, m, step, near, spread, flags)
     for j in range(m):
         spread[j] = block[_VARIANCE, j]
@@ -553,14 +558,6 @@ def mask_rejected(rejection, coordinate, variance, provisional):  # type: ignore
         accepted += good
         unsettled += odd
     return accepted, unsettled
-
-
-@njit(parallel=True, cache=True)
-def begin_axis(near, centre, variance):  # type: ignore[no-untyped-def]
-    """Nothing known: every coordinate at the centre, with no variance of its own."""
-    for j in prange(near.size):
-        near[j] = centre
-        variance[j] = _ZERO
 
 
 @njit(parallel=True, cache=True)

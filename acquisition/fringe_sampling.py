@@ -37,7 +37,7 @@ from acquisition.sample_noise import SampleNoise, estimate_noise
 _FRINGES_AHEAD = 4
 _LEAST_UNSATURATED = 0.1
 # Pixels from which medians are taken.
-_FOR_MEDIANS = 6144
+_FOR_MEDIANS = 4096
 BAD_LIGHT = np.uint16(Rejection.LOW_MODULATION | Rejection.SATURATED)
 
 
@@ -151,7 +151,9 @@ class FringeSampler:
             correction, harmonics = self._harmonics(fringe, lines)
         sample, freedom = self.sample_model(), fringe.steps - 3
         few = lines.rows[:, :, :: self._every]
-        sampled = fit_samples(fringe, few, model_fringe(fringe, correction=correction), sample)
+        limit = squares_limit(fringe, self.alarm)
+        model = model_fringe(fringe, squares_limit=limit, correction=correction)
+        sampled = fit_samples(fringe, few, model, sample)
         good = (sampled.flags & BAD_LIGHT) == 0
         squares, modulation = sampled.squares[good], sampled.modulation[good]
         residual = residual_harmonics(
@@ -160,12 +162,7 @@ class FringeSampler:
             self.noise.variance(sampled.ambient[good]),
             degrees_of_freedom=freedom,
         )
-        model = model_fringe(
-            fringe,
-            squares_limit=squares_limit(fringe, self.alarm),
-            harmonics=residual,
-            correction=correction,
-        )
+        model = model._replace(harmonics=np.float32(residual))
         lit = squares < modulation**2 * max(1, freedom) / 4
         rms = float("nan")
         if freedom > 0 and lit.any():

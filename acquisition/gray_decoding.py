@@ -221,7 +221,7 @@ def decode_gray_alone(
     return DecodedCode(coordinate, modulation, ambient), noise
 
 
-def sample_rows(shape: tuple[int, int], samples: int = 24_576) -> NDArray[np.intp]:
+def sample_rows(shape: tuple[int, int], samples: int = 16_384) -> NDArray[np.intp]:
     """Rows, spread over a picture, that hold some number of pixels together."""
     rows, cols = shape
     return np.unique(np.linspace(0, rows - 1, max(1, min(rows, samples // cols))).astype(np.intp))

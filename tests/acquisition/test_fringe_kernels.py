@@ -140,6 +140,8 @@ def unwrapped(turns, variance, near, near_variance, step):
 def unwrap_step(*, period, **limits):
     step = UnwrapStep(
         period=period,
+        first=False,
+        centre=0.0,
         half_width=0.0,
         sigmas=6.0,
         mixed_sigmas=1e9,
@@ -149,7 +151,7 @@ def unwrap_step(*, period, **limits):
         systematic=np.inf,
         extent=512.0,
     )._replace(**limits)
-    return UnwrapStep(step.period, *map(np.float32, step[1:]))
+    return UnwrapStep(step.period, step.first, *map(np.float32, step[2:]))
 
 
 def test_orders_agree_with_a_search_over_all():
@@ -191,6 +193,15 @@ def test_a_coarse_coordinate_adds_what_it_knows():
     state = unwrapped(turns, variance, near, near_variance, unsure)
     np.testing.assert_allclose(state.coordinate, fine, atol=1e-5)
     np.testing.assert_allclose(state.variance, own, rtol=1e-5)
+
+
+def test_the_first_fringe_is_unwrapped_about_the_centre():
+    turns = np.array([0.1, 0.5, 0.9])
+    step = unwrap_step(period=512.0, first=True, centre=255.5, half_width=256.0)
+    nothing = np.full(3, np.nan)
+    state = unwrapped(turns, turns * 1e-6, nothing, nothing, step)
+    np.testing.assert_allclose(state.coordinate, 512 * turns, rtol=1e-6)
+    assert not state.rejection.any()
 
 
 def test_orders_that_noise_could_change_are_uncertain_or_rejected():
