@@ -8,6 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from acquisition.decoding_compilation import compile_decoding
 from devices.simulated.rig import demo_rig
 from devices.simulated.sensor import Sensor
 from workstation.demonstration import record_simulated_scan
@@ -16,6 +17,7 @@ from workstation.processing import process_session
 
 def compile_kernels() -> None:
     """Process a small simulated scan in each of the sample types that cameras deliver."""
+    compile_decoding()
     for bits in (8, 12):
         rig = demo_rig(camera_width=160, sensor=Sensor(bits=bits))
         with TemporaryDirectory() as folder:
