@@ -17,19 +17,14 @@ from numpy.typing import NDArray
 from acquisition.correspondence import PhaseHarmonic
 from acquisition.errors import DecodingError
 from acquisition.fringe_fit import FittedFringe, FoldedFringe, fit_folded
-from acquisition.fringe_kernels import (
-    AxisState,
-    UnwrapStep,
-    advance,
-    advance_fitted,
-    merge_exposures,
-    subtract_series,
-)
+from acquisition.fringe_kernels import advance, advance_fitted, merge_exposures
+from acquisition.fringe_models import AxisState, UnwrapStep
 from acquisition.fringe_sampling import BAD_LIGHT, FringeReport, FringeSampler, Lines
 from acquisition.fringe_statistics import disagreement_limit, systematic_disagreement
 from acquisition.fringes import Fringe
 from acquisition.gray_decoding import GrayCode, cell_coordinates, needs_level, read_words
 from acquisition.harmonics import error_orders, series_of_coarse
+from acquisition.rejection_kernels import subtract_series
 from acquisition.unwrapping import certainty_sigmas
 
 _NO_COORDINATE, _NO_MODULATION = np.empty(0, np.float64), np.empty(0, np.float32)

@@ -20,7 +20,12 @@ from acquisition.correspondence import AxisCoordinate, CorrespondenceMap, Reject
 from acquisition.decoding_options import DecodingOptions
 from acquisition.errors import DecodingError
 from acquisition.frame_stream import FrameStream, ReadFrame
-from acquisition.fringe_kernels import (
+from acquisition.fringe_sampling import FringeSampler
+from acquisition.fringes import exposures_of_fringes, find_fringes
+from acquisition.gray_decoding import GrayCode, decode_gray_alone, find_gray_code
+from acquisition.patterns import Axis
+from acquisition.plan import Plan
+from acquisition.rejection_kernels import (
     PROVISIONAL,
     UNCERTAIN_ORDER,
     begin_pictures,
@@ -28,11 +33,6 @@ from acquisition.fringe_kernels import (
     mask_rejected,
     settle,
 )
-from acquisition.fringe_sampling import FringeSampler
-from acquisition.fringes import exposures_of_fringes, find_fringes
-from acquisition.gray_decoding import GrayCode, decode_gray_alone, find_gray_code
-from acquisition.patterns import Axis
-from acquisition.plan import Plan
 from acquisition.sample_noise import QUANTISATION_VARIANCE, SampleNoise
 from acquisition.unwrapping import UnwrappedAxis, check_orders
 

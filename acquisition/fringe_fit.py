@@ -14,13 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.frame_files import Samples
-from acquisition.fringe_kernels import (
-    SUMS,
-    FringeModel,
-    SampleModel,
-    fit_fringe,
-    fold_steps,
-)
+from acquisition.fringe_kernels import SUMS, fit_fringe, fold_steps
+from acquisition.fringe_models import FringeModel, SampleModel
 from acquisition.fringes import STEPS_AT_ONCE, Fringe
 
 NO_CORRECTION = np.zeros((0, 3), np.float32)

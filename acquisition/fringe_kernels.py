@@ -10,13 +10,11 @@ whole numbers, and what rounding adds to a phase is below 10⁻⁶ of a turn (no
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numba import njit, prange
-from numpy.typing import NDArray
 
 from acquisition.correspondence import Rejection
+from acquisition.rejection_kernels import UNCERTAIN_ORDER
 
 # No "nnan" or "ninf": what is not finite must stay so.
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
@@ -51,88 +49,8 @@ SUMS = 5  # of these, what is kept between groups of steps: A, c, s, squares, to
 _LOW_MODULATION = int(Rejection.LOW_MODULATION)
 _SATURATED = int(Rejection.SATURATED)
 _WRONG_ORDER = int(Rejection.WRONG_ORDER)
-# Not a rejection yet: the neighbours have the last word.
-UNCERTAIN_ORDER = 1 << 15
 _OUT_OF_RANGE = int(Rejection.OUT_OF_RANGE)
-PROVISIONAL = UNCERTAIN_ORDER | _OUT_OF_RANGE
 _MIXED_LIGHT = int(Rejection.MIXED_LIGHT)
-
-
-class SampleModel(NamedTuple):
-    """What a sample's level says of its quality, float32.
-
-    ``variance = read + gain * level``. A modulation below ``least`` or below ``contrast`` standard
-    deviations is low; a sample at ``saturation`` or above is saturated.
-    """
-
-    read: np.float32
-    gain: np.float32
-    saturation: np.float32
-    least: np.float32
-    contrast: np.float32
-
-
-class FringeModel(NamedTuple):
-    """What a fit of a fringe needs beside the weights of its steps.
-
-    ``isotropic`` says that the phase's variance does not depend on the phase. ``moments`` and
-    ``gram`` are :attr:`~acquisition.fringes.Fringe.variance_moments` and
-    :attr:`~acquisition.fringes.Fringe.gram`. ``squares_limit`` bounds the sum of squared residuals
-    by noise, in variances of a sample (infinite where there is no redundancy), and ``harmonics``
-    what harmonics may add to its root, in modulations. ``correction`` (harmonics, 3) holds rows of
-    order, cosine and sine: a Fourier series in the raw phase that is subtracted from it, turns.
-    """
-
-    origin_turns: np.float32
-    isotropic: bool
-    moments: NDArray[np.float32]
-    gram: NDArray[np.float32]
-    squares_limit: np.float32
-    harmonics: np.float32
-    correction: NDArray[np.float32]
-
-
-class UnwrapStep(NamedTuple):
-    """How a fringe is unwrapped by a coarse coordinate: the period float64, the rest float32.
-
-    For the ``first`` fringe, where nothing is known before it, the coarse coordinate is ``centre``,
-    of no variance.
-    The two may differ by ``half_width`` (of the coarse coordinate's cell, and systematic) plus
-    ``sigmas`` standard deviations; beyond ``mixed_sigmas`` the light is mixed. The order is too
-    uncertain where ``certain_sigmas`` standard deviations exceed ``reach``, and cannot be borne out
-    by neighbours where ``borne_out_sigmas`` do. Where it is certain, the coarse coordinate adds to
-    the fine one by inverse variance, its own increased by ``systematic`` (infinite: it adds
-    nothing). The panel has ``extent`` pixels.
-    """
-
-    period: float
-    first: bool
-    centre: np.float32
-    half_width: np.float32
-    sigmas: np.float32
-    mixed_sigmas: np.float32
-    certain_sigmas: np.float32
-    borne_out_sigmas: np.float32
-    reach: np.float32
-    systematic: np.float32
-    extent: np.float32
-
-
-class AxisState(NamedTuple):
-    """What an axis is decoded to, fringe by fringe; all of (pixels,).
-
-    ``near`` is the coordinate so far, float32, and ``variance`` its variance; ``rejection`` the
-    bits, uint16, shared by all axes. The finest fringe leaves its coordinate in full precision in
-    ``coordinate``, float64, and its modulation in ``modulation``, before it both are empty; and it
-    adds its mean level to ``ambient``, float32, shared too.
-    """
-
-    near: NDArray[np.float32]
-    variance: NDArray[np.float32]
-    ambient: NDArray[np.float32]
-    rejection: NDArray[np.uint16]
-    coordinate: NDArray[np.float64]
-    modulation: NDArray[np.float32]
 
 
 @njit(inline="always")
@@ -501,85 +419,3 @@ def merge_exposures(fitted, flags, shorter, shorter_flags, scale):  # type: igno
             fitted[0, j] = turn - np.floor(turn)
             fitted[1, j] = fitted[1, j] * shorter[1, j] / total
             flags[j] = mine | other
-
-
-@njit(parallel=True, cache=True)
-def subtract_series(near, period, origin_turns, series):  # type: ignore[no-untyped-def]
-    """Subtract a Fourier series in the phase of a coordinate from it, in place.
-
-    ``series`` (harmonics, 3) holds order, cosine and sine, the latter two in turns of the raw phase
-    ``near / period + origin_turns``.
-    """
-    for j in prange(near.size):
-        angle = 2 * np.pi * (near[j] / period + origin_turns)
-        error = 0.0
-        for row in range(len(series)):
-            at = series[row, 0] * angle
-            error += series[row, 1] * np.cos(at) + series[row, 2] * np.sin(at)
-        near[j] -= period * error
-
-
-@njit(parallel=True, cache=True)
-def mask_rejected(rejection, coordinate, variance, provisional):  # type: ignore[no-untyped-def]
-    """Where a pixel is rejected, set its coordinate to NaN and its variance to infinity.
-
-    Parameters
-    ----------
-    rejection : (pixels,) uint16 array
-    coordinate, variance : (pixels,) arrays
-        Changed in place.
-    provisional : int
-        Bits that are no reason yet.
-
-    Returns
-    -------
-    int, int
-        Pixels that are not rejected, and those with a provisional bit among them.
-    """
-    accepted, unsettled = 0, 0
-    settled = np.uint16(~provisional & 0xFFFF)
-    pixels = rejection.size
-    for number in prange((pixels + _BLOCK - 1) // _BLOCK):
-        start = number * _BLOCK
-        m = min(_BLOCK, pixels - start)
-        bits = rejection[start : start + m]
-        some = np.uint16(0)
-        for j in range(m):
-            some |= bits[j]
-        good, odd = m, 0
-        if some:
-            for j in range(m):
-                if bits[j] & settled:
-                    coordinate[start + j] = np.nan
-                    variance[start + j] = np.inf
-                    good -= 1
-                elif bits[j]:
-                    odd += 1
-        accepted += good
-        unsettled += odd
-    return accepted, unsettled
-
-
-@njit(parallel=True, cache=True)
-def begin_pictures(ambient, rejection):  # type: ignore[no-untyped-def]
-    """No light, and nothing rejected."""
-    for j in prange(ambient.size):
-        ambient[j] = _ZERO
-        rejection[j] = np.uint16(0)
-
-
-@njit(parallel=True, cache=True)
-def settle(rejection, wrong):  # type: ignore[no-untyped-def]
-    """Clear the provisional bits in place, and reject the orders that are ``wrong`` (pixels,)."""
-    settled = np.uint16(~PROVISIONAL & 0xFFFF)
-    for j in prange(rejection.size):
-        bits = rejection[j] & settled
-        rejection[j] = bits | np.uint16(_WRONG_ORDER) if wrong[j] else bits
-
-
-@njit(parallel=True, cache=True)
-def flag_outside(coordinate, extent, rejection):  # type: ignore[no-untyped-def]
-    """Add the rejection's bit where a coordinate lies off a panel of ``extent`` pixels."""
-    for j in prange(rejection.size):
-        if coordinate[j] < -0.5 or coordinate[j] > extent - 0.5:
-            rejection[j] |= np.uint16(_OUT_OF_RANGE)

@@ -26,7 +26,7 @@ from acquisition.fringe_fit import (
     fold_fringe,
     model_fringe,
 )
-from acquisition.fringe_kernels import FringeModel, SampleModel
+from acquisition.fringe_models import FringeModel, SampleModel
 from acquisition.fringe_statistics import residual_harmonics, squares_limit
 from acquisition.fringes import Fringe
 from acquisition.gray_decoding import sample_rows

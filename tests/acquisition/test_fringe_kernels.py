@@ -6,20 +6,17 @@ import pytest
 
 from acquisition.correspondence import Rejection
 from acquisition.fringe_fit import fit_samples, model_fringe
-from acquisition.fringe_kernels import (
-    PROVISIONAL,
-    UNCERTAIN_ORDER,
-    AxisState,
-    SampleModel,
-    UnwrapStep,
-    advance_fitted,
-    flag_outside,
-    mask_rejected,
-    merge_exposures,
-    settle,
-)
+from acquisition.fringe_kernels import advance_fitted, merge_exposures
+from acquisition.fringe_models import AxisState, SampleModel, UnwrapStep
 from acquisition.fringes import Fringe
 from acquisition.patterns import Axis
+from acquisition.rejection_kernels import (
+    PROVISIONAL,
+    UNCERTAIN_ORDER,
+    flag_outside,
+    mask_rejected,
+    settle,
+)
 
 EVEN = {n: 2 * np.pi * np.arange(n) / n for n in (3, 4, 5, 8, 12, 17)}
 UNEVEN = np.array([0.0, 1.1, 2.9, 4.0, 5.6])
