@@ -104,7 +104,7 @@ class FringeDecoder:
                 "fringe of one period"
             )
         for fringe in (fringe for group in groups for fringe in group):
-            _ = fringe.solution  # refuse what cannot be decoded before anything is read
+            _ = fringe.fit  # refuse what cannot be decoded before anything is read
         pixels = len(self.shared.rejection)
         near, variance = self._near, np.empty(pixels, np.float32)
         if code is not None:

@@ -95,7 +95,7 @@ def fold_fringe(fringe: Fringe, frames: Iterable[Samples]) -> FoldedFringe:
     frames : iterable of (pixels,) uint8 or uint16 arrays
         In the order of the fringe's steps.
     """
-    weights = fringe.step_weights
+    weights = fringe.fit.step_weights
     coming = iter(frames)
     group = _next_four(coming)
     reference = group[0]
@@ -126,9 +126,9 @@ def model_fringe(
     """What the kernels need to know of a fringe."""
     return FringeModel(
         np.float32(fringe.origin_rad / (2 * np.pi)),
-        fringe.isotropic,
-        fringe.variance_moments,
-        fringe.gram,
+        fringe.fit.isotropic,
+        fringe.fit.variance_moments,
+        fringe.fit.gram,
         np.float32(squares_limit),
         np.float32(harmonics),
         np.ascontiguousarray(correction, np.float32),

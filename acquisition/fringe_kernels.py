@@ -18,25 +18,25 @@ from acquisition.rejection_kernels import UNCERTAIN_ORDER
 
 # No "nnan" or "ninf": what is not finite must stay so.
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
-_BLOCK = 512
+_BLOCK = 2048
 
 _F = np.float32
 _ZERO, _HALF, _ONE, _QUARTER, _TINY = _F(0), _F(0.5), _F(1), _F(0.25), _F(1e-30)
-_TWO_PI = _F(2 * np.pi)
+_TWO_PI, _FOUR = _F(2 * np.pi), _F(4)
+_MARGIN, _STEEPNESS = _F(1.1), _F(11 * (2 * np.pi) ** 2)
 
-# atan(x)/2π ≈ x Σ c_i x^2i on [0, 1] to 6e-9 of a turn: weighted least squares, exchanged until
+# atan(x)/2π ≈ x Σ c_i x^2i on [0, 1] to 4e-8 of a turn: weighted least squares, exchanged until
 # the error ripples evenly.
 _ATAN = (
-    0.15915493056736077,
-    -0.053051003283837385,
-    0.031819526047389656,
-    -0.0225990583370213,
-    0.01694155372306046,
-    -0.011851091459614006,
-    0.006149041498204512,
-    -0.0015638995394906036,
+    0.15915432410965719,
+    -0.053026236060591425,
+    0.03152510412646911,
+    -0.021061477567092642,
+    0.012672438684393654,
+    -0.0053482302980196565,
+    0.0010841163681056653,
 )
-_T0, _T1, _T2, _T3, _T4, _T5, _T6, _T7 = (_F(c) for c in _ATAN)
+_T0, _T1, _T2, _T3, _T4, _T5, _T6 = (_F(c) for c in _ATAN)
 
 # Rows of a block's working array.
 _A, _C, _S, _SQUARES, _TOP = range(5)
@@ -61,7 +61,7 @@ def _turn(c: np.float32, s: np.float32) -> np.float32:
     high = across if up < across else up
     x = low / (high + _TINY)
     z = x * x
-    even = _T3 + z * (_T4 + z * (_T5 + z * (_T6 + z * _T7)))
+    even = _T3 + z * (_T4 + z * (_T5 + z * _T6))
     turn = x * (_T0 + z * (_T1 + z * (_T2 + z * even)))
     turn = _QUARTER - turn if up > across else turn
     turn = _HALF - turn if c < _ZERO else turn
@@ -142,7 +142,7 @@ def _fit_block(block, m, reference, fringe, sample):  # type: ignore[no-untyped-
     gram = fringe.gram
     g00, g01, g02 = gram[0, 0], gram[0, 1] + gram[1, 0], gram[0, 2] + gram[2, 0]
     g11, g12, g22 = gram[1, 1], gram[1, 2] + gram[2, 1], gram[2, 2]
-    limit, harmonics = fringe.squares_limit, fringe.harmonics
+    limit, harmonics2 = fringe.squares_limit, fringe.harmonics * fringe.harmonics
     floor, contrast2 = sample.least * sample.least, sample.contrast * sample.contrast
     for j in range(m):
         a, c, s = block[_A, j], block[_C, j], block[_S, j]
@@ -152,9 +152,12 @@ def _fit_block(block, m, reference, fringe, sample):  # type: ignore[no-untyped-
         noise = read + gain * (a if a > _ZERO else _ZERO)
         b = block[_MODULATION, j]
         low = b * b <= floor + contrast2 * noise or b * b <= _TINY + _TINY
-        allowed = np.sqrt(limit * noise) + harmonics * b
+        # Whether √left > √(limit noise) + harmonics b, without the roots.
+        by_noise, by_harmonics = limit * noise, harmonics2 * b * b
+        beyond = left - by_noise - by_harmonics
+        mixed = beyond > _ZERO and beyond * beyond > _FOUR * by_noise * by_harmonics
         flags = _F(_LOW_MODULATION) if low else _ZERO
-        flags += _F(_MIXED_LIGHT) if left > allowed * allowed else _ZERO
+        flags += _F(_MIXED_LIGHT) if mixed else _ZERO
         flags += _F(_SATURATED) if block[_TOP, j] >= sample.saturation else _ZERO
         block[_MISFIT, j] = left if left > _ZERO else _ZERO
         block[_FLAGS, j] = flags
@@ -194,6 +197,9 @@ def _unwrap_block(block, m, step, near, variance, rejection):  # type: ignore[no
     period = _F(step.period)
     square = period * period
     inverse = _ONE / period
+    sigmas2, mixed2 = step.sigmas * step.sigmas, step.mixed_sigmas * step.mixed_sigmas
+    certain2 = step.certain_sigmas * step.certain_sigmas
+    borne_out2, reach2 = step.borne_out_sigmas * step.borne_out_sigmas, step.reach * step.reach
     for j in range(m):
         turn = block[_TURN, j]
         order = np.floor(near[j] * inverse - turn + _HALF)
@@ -202,17 +208,18 @@ def _unwrap_block(block, m, step, near, variance, rejection):  # type: ignore[no
         block[_FINE, j] = fine
         own = square * block[_VARIANCE, j]
         joint = own + variance[j]
-        spread = np.sqrt(joint)
         apart = abs(fine - near[j]) - step.half_width
-        # The spread follows from a modulation that is itself uncertain by the phase's noise, and
-        # those who pass a limit on it are the overrated: one standard deviation is allowed for.
-        rated = spread * (_ONE + _TWO_PI * np.sqrt(block[_VARIANCE, j]))
-        certain = step.certain_sigmas * rated <= step.reach
+        apart2 = apart * apart if apart > _ZERO else _ZERO
+        # The spread follows from a modulation that is itself uncertain by the phase's noise s, and
+        # those who pass a limit on it are the overrated: (1 + s)² allows for one standard
+        # deviation, and 1.1 + 11 s² is no less.
+        rated = joint * (_MARGIN + _STEEPNESS * block[_VARIANCE, j])
+        certain = certain2 * rated <= reach2
         # Written so that what is not a number contradicts.
-        wrong = not (apart <= step.sigmas * spread and step.borne_out_sigmas * rated <= step.reach)
+        wrong = not (apart2 <= sigmas2 * joint and borne_out2 * rated <= reach2)
         flags = _F(_WRONG_ORDER) if wrong else _ZERO
         flags += _ZERO if certain else _F(UNCERTAIN_ORDER)
-        flags += _F(_MIXED_LIGHT) if apart > step.mixed_sigmas * spread else _ZERO
+        flags += _F(_MIXED_LIGHT) if apart2 > mixed2 * joint else _ZERO
         block[_MISFIT, j] = flags
         # What the coarse coordinate adds to the fine one, by inverse variance.
         share = own / (joint + step.systematic) if certain else _ZERO

@@ -29,8 +29,8 @@ class FringeModel(NamedTuple):
     """What a fit of a fringe needs beside the weights of its steps.
 
     ``isotropic`` says that the phase's variance does not depend on the phase. ``moments`` and
-    ``gram`` are :attr:`~acquisition.fringes.Fringe.variance_moments` and
-    :attr:`~acquisition.fringes.Fringe.gram`. ``squares_limit`` bounds the sum of squared residuals
+    ``gram`` are :attr:`~acquisition.fringes.StepFit.variance_moments` and
+    :attr:`~acquisition.fringes.StepFit.gram`. ``squares_limit`` bounds the sum of squared residuals
     by noise, in variances of a sample (infinite where there is no redundancy), and ``harmonics``
     what harmonics may add to its root, in modulations. ``correction`` (harmonics, 3) holds rows of
     order, cosine and sine: a Fourier series in the raw phase that is subtracted from it, turns.

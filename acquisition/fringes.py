@@ -8,7 +8,7 @@ linear in (A, c, s), so that least squares gives all three for any three or more
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,64 +50,86 @@ class Fringe:
         """Number of steps."""
         return len(self.shifts_rad)
 
-    @cached_property
-    def design(self) -> NDArray[np.float64]:
-        """(steps, 3) array that takes (A, c, s) to the samples."""
-        shifts = self.shifts_rad
-        return np.stack([np.ones_like(shifts), np.cos(shifts), -np.sin(shifts)], axis=1)
-
-    @cached_property
+    @property
     def solution(self) -> NDArray[np.float64]:
-        """(3, steps) pseudo-inverse that takes the samples to (A, c, s).
+        """(3, steps) array that takes the samples to (A, c, s); errors as of :attr:`fit`."""
+        return self.fit.solution
+
+    @property
+    def fit(self) -> StepFit:
+        """What the fit of the steps weighs.
 
         Raises
         ------
         DecodingError
             The steps do not determine a phase.
         """
-        if self.steps < 3 or np.linalg.matrix_rank(self.design, tol=1e-6) < 3:
+        fit = _fit_of(tuple(self.shifts_rad))
+        if fit is None:
             raise DecodingError(
                 f"the {self.axis} fringe of period {self.period_px:g} px has "
                 f"{self.steps} steps that do not determine a phase; three distinct "
                 "shifts are the least"
             )
-        return np.ascontiguousarray(np.linalg.pinv(self.design))
+        return fit
 
-    @cached_property
-    def step_weights(self) -> NDArray[np.float32]:
-        """(groups, 3, 4) float32 array: the solution in groups of four steps, filled with zeros."""
-        solution = self.solution
-        groups = -(-self.steps // STEPS_AT_ONCE)
-        padded = np.zeros((3, groups * STEPS_AT_ONCE))
-        padded[:, : self.steps] = solution
-        grouped = padded.reshape(3, groups, STEPS_AT_ONCE).transpose(1, 0, 2)
-        return np.ascontiguousarray(grouped, np.float32)
 
-    @cached_property
-    def variance_moments(self) -> NDArray[np.float32]:
-        r"""(3, 3) float32 array by which the phase's variance follows from the fit.
+@dataclass(frozen=True)
+class StepFit:
+    r"""Least squares of the steps of a fringe.
 
-        With :math:`d\varphi = (\cos\varphi\,ds - \sin\varphi\,dc)/B` and a sample's variance
-        linear in its level, row i belongs to the i-th of (1, c, s) in the level, and column j to
-        the j-th of (cos², cos·sin, sin²). In squared turns.
-        """
-        _, cosine, sine = self.solution
-        products = np.stack([sine**2, -2 * sine * cosine, cosine**2])
-        moments = self.design.T @ products.T
-        return np.ascontiguousarray(moments / (2 * np.pi) ** 2, np.float32)
+    Attributes
+    ----------
+    design : (steps, 3) float64 array
+        Takes (A, c, s) to the samples.
+    solution : (3, steps) float64 array
+        Takes the samples to (A, c, s).
+    step_weights : (groups, 3, 4) float32 array
+        The solution in groups of four steps, filled with zeros.
+    variance_moments : (3, 3) float32 array
+        By which the phase's variance follows from the fit, in squared turns. With
+        :math:`d\varphi = (\cos\varphi\,ds - \sin\varphi\,dc)/B` and a sample's variance linear
+        in its level, row i belongs to the i-th of (1, c, s) in the level, and column j to the j-th
+        of (cos², cos·sin, sin²).
+    isotropic : bool
+        Whether the phase's variance is the same at every phase, whatever the light.
+    gram : (3, 3) float32 array
+        The quadratic form of (A, c, s) that the samples' squares hold.
+    """
 
-    @cached_property
-    def isotropic(self) -> bool:
-        """Whether the phase's variance is the same at every phase, whatever the light."""
-        moments = self.variance_moments
-        even = np.zeros((3, 3))
-        even[0] = moments[0, 0], 0.0, moments[0, 0]
-        return bool(np.abs(moments - even).max() <= 1e-6 * moments[0, 0])
+    design: NDArray[np.float64]
+    solution: NDArray[np.float64]
+    step_weights: NDArray[np.float32]
+    variance_moments: NDArray[np.float32]
+    isotropic: bool
+    gram: NDArray[np.float32]
 
-    @cached_property
-    def gram(self) -> NDArray[np.float32]:
-        """(3, 3) float32 array: the quadratic form of (A, c, s) that the samples' squares hold."""
-        return np.ascontiguousarray(self.design.T @ self.design, np.float32)
+
+@lru_cache(maxsize=64)
+def _fit_of(shifts: tuple[float, ...]) -> StepFit | None:
+    """The fit of steps, None where they do not determine a phase."""
+    delta = np.array(shifts)
+    design = np.stack([np.ones_like(delta), np.cos(delta), -np.sin(delta)], axis=1)
+    if len(shifts) < 3 or np.linalg.matrix_rank(design, tol=1e-6) < 3:
+        return None
+    solution = np.linalg.pinv(design)
+    groups = -(-len(shifts) // STEPS_AT_ONCE)
+    padded = np.zeros((3, groups * STEPS_AT_ONCE))
+    padded[:, : len(shifts)] = solution
+    grouped = padded.reshape(3, groups, STEPS_AT_ONCE).transpose(1, 0, 2)
+    _, cosine, sine = solution
+    products = np.stack([sine**2, -2 * sine * cosine, cosine**2])
+    moments = design.T @ products.T / (2 * np.pi) ** 2
+    even = np.zeros((3, 3))
+    even[0] = moments[0, 0], 0.0, moments[0, 0]
+    return StepFit(
+        design,
+        np.ascontiguousarray(solution),
+        np.ascontiguousarray(grouped, np.float32),
+        np.ascontiguousarray(moments, np.float32),
+        bool(np.abs(moments - even).max() <= 1e-6 * moments[0, 0]),
+        np.ascontiguousarray(design.T @ design, np.float32),
+    )
 
 
 def find_fringes(plan: Plan) -> list[Fringe]:

@@ -178,11 +178,51 @@ def decode_gray_alone(
         Bits without an inverse, and no white and black frame to stand in for it.
     """
     opposed = _opposed(code, stream)
-    pixels = len(rejection)
-    words = np.empty(pixels, np.int32)
+    read = _read_alone(code, stream, opposed, rejection)
+    sampled = _sample(stream.shape)
+    lit = rejection[sampled] == 0
+    noise = noise or _noise_of_differences(
+        read.differences[:, lit], read.ambient[sampled][lit], opposed.own_samples
+    )
+    modulation = np.empty(len(rejection), np.float32)
+    # Half a difference has a quarter of its variance.
+    share = (opposed.own_samples + opposed.shared_samples) / 4
+    judge_words(
+        read.contrast,
+        read.ambient,
+        share * noise.read_variance,
+        share * noise.gain,
+        contrast,
+        least,
+        modulation,
+        rejection,
+    )
+    coordinate = np.empty(len(rejection))
+    cell_centres(read.words, code.first_lit_centre, code.step_px, coordinate)
+    return DecodedCode(coordinate, modulation, read.ambient), noise
+
+
+@dataclass(frozen=True)
+class _ReadCode:
+    """A code's pictures, read.
+
+    Words; the contrast to judge them by, the second smallest or that of a single bit; mean levels;
+    and (bits, n) differences of bits and inverses of sampled pixels.
+    """
+
+    words: NDArray[np.int32]
+    contrast: _Picture
+    ambient: NDArray[np.float32]
+    differences: NDArray[np.float64]
+
+
+def _read_alone(
+    code: GrayCode, stream: FrameStream, opposed: _Opposed, rejection: NDArray[np.uint16]
+) -> _ReadCode:
+    words = np.empty(len(rejection), np.int32)
     second = opposed.largest_contrast
     smallest = second.copy()
-    ambient = np.empty(pixels, np.float32)
+    ambient = np.empty(len(rejection), np.float32)
     sampled, differences = _sample(stream.shape), []
     for bit in range(0, code.length, 2):
         pair = opposed.pair(bit)
@@ -196,29 +236,8 @@ def decode_gray_alone(
         for picture, opposite in (pair, other)[: 1 + both]:
             two = (plane[sampled].astype(np.float64) for plane in (picture, opposite))
             differences.append(np.subtract(*two))
-    lit = rejection[sampled] == 0
-    level = ambient[sampled]
-    noise = noise or _noise_of_differences(
-        np.stack(differences)[:, lit], level[lit], opposed.own_samples
-    )
-    modulation = np.empty(pixels, np.float32)
-    # One bit has no second smallest contrast.
-    judged = second if code.length > 1 else smallest
-    # Half a difference has a quarter of its variance.
-    share = (opposed.own_samples + opposed.shared_samples) / 4
-    judge_words(
-        judged,
-        ambient,
-        share * noise.read_variance,
-        share * noise.gain,
-        contrast,
-        least,
-        modulation,
-        rejection,
-    )
-    coordinate = np.empty(pixels)
-    cell_centres(words, code.first_lit_centre, code.step_px, coordinate)
-    return DecodedCode(coordinate, modulation, ambient), noise
+    contrast = second if code.length > 1 else smallest
+    return _ReadCode(words, contrast, ambient, np.stack(differences))
 
 
 def sample_rows(shape: tuple[int, int], samples: int = 16_384) -> NDArray[np.intp]:

@@ -86,8 +86,9 @@ def fit_sample_noise(
     groups = max(1, min(bins, len(level) // 50))
     each = len(level) // groups
     order = np.argsort(level)[: groups * each].reshape(groups, each)
-    levels = np.median(level[order], axis=1)
-    variances = np.quantile(residual_sum[order], quantile, axis=1)
+    levels = level[order].mean(axis=1)
+    place = int(quantile * (each - 1))
+    variances = np.partition(residual_sum[order], place, axis=1)[:, place]
     variances = variances / stats.chi2.ppf(quantile, degrees_of_freedom)
     floor = QUANTISATION_VARIANCE
     if groups < 3 or np.ptp(levels) < 1e-3 * max(1.0, abs(levels).max()):
@@ -188,8 +189,8 @@ def _white_residual(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Level, and sum of squares of the white part of the fringe fit's residual, where lit."""
     samples = stack.astype(np.float64)
-    parameters = np.tensordot(fringe.solution, samples, axes=1)
-    residual = samples - np.tensordot(fringe.design, parameters, axes=1)
+    parameters = np.tensordot(fringe.fit.solution, samples, axes=1)
+    residual = samples - np.tensordot(fringe.fit.design, parameters, axes=1)
     squares = (_second_differences(residual) ** 2).sum(axis=0)
     level, modulation = parameters[0, :, 1:-1], np.hypot(parameters[1], parameters[2])[:, 1:-1]
     total = (residual[:, :, 1:-1] ** 2).sum(axis=0)

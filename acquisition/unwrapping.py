@@ -38,7 +38,7 @@ _SLOPE_ALLOWANCE = 4.0
 # Pixels of a component that counts towards a systematic contradiction.
 _SUBSTANTIAL_PIXELS = 30
 _SUBSTANTIAL_SHARE = 1e-3
-_SAMPLED_LINES = 64
+_SAMPLED_LINES = 40
 
 
 @dataclass(frozen=True)
@@ -138,9 +138,9 @@ def check_orders(
         The orders contradict the phase over more than ``contradicted_share`` of the picture.
     """
     names = list(axes)
-    first, second = axes[names[0]], axes[names[-1]]
-    x, y = first.coordinate, second.coordinate
-    halves = (first.period_px / 2, second.period_px / 2)
+    pair = axes[names[0]], axes[names[-1]]
+    x, y = (axis.coordinate for axis in pair)
+    halves = (pair[0].period_px / 2, pair[1].period_px / 2)
     wrong = np.zeros(x.shape, np.bool_)
     coordinates = {name: axes[name].coordinate for name in names}
     slopes = np.array([_usual_slope(x), _usual_slope(y)])
@@ -148,51 +148,75 @@ def check_orders(
         # Periods of four pixels and less cannot be followed from pixel to pixel.
         wrong |= uncertain != 0 if uncertain is not None else False
         return OrderCheck(coordinates, wrong, 0, int(wrong.sum()))
-    along, down = kernels.rows_with_jumps(x, y, *halves)
-    if not along.any() and not down.any() and x.size > small:
+    found = _find_components(x, y, halves, whole=x.size > small)
+    if found is None:
         return OrderCheck(coordinates, wrong, 0, 0)
+    jumps = kernels.list_jumps(
+        x,
+        y,
+        pair[0].variance,
+        pair[1].variance,
+        2 * np.array(halves),
+        slopes,
+        found.slot,
+        found.down,
+        found.labels,
+        found.first_run,
+        found.component,
+    )
+    verdict, shift = _judge(jumps, found.sizes, small, agreement)
+    _refuse_contradiction(names, verdict, shift, found.sizes, contradicted_share)
+    where = (found.slot, found.labels, found.first_run, found.component)
+    if verdict.any():
+        for name, moves in zip(names, shift.T, strict=False):
+            moved, axis = coordinates[name].copy(), axes[name]
+            own = np.ascontiguousarray(moves)
+            kernels.apply_verdicts(moved, axis.period_px, axis.extent, own, verdict, *where, wrong)
+            coordinates[name] = moved
+    if uncertain is not None:
+        supported = (found.sizes > small) | (verdict == kernels.REPAIR)
+        kernels.reject_unsupported(uncertain, *where, supported, wrong)
+    repaired = int(found.sizes[verdict == kernels.REPAIR].sum())
+    return OrderCheck(coordinates, wrong, repaired, int(wrong.sum()))
+
+
+@dataclass(frozen=True)
+class _Components:
+    """Pixels joined where coordinates do not jump; see :mod:`acquisition.order_kernels`.
+
+    ``sizes`` (components,) counts their pixels; ``component`` (runs,) names that of each run;
+    ``first_run`` (rows + 1,) numbers the runs; ``labels`` and ``slot`` lead from a pixel to its
+    run; ``down`` (rows,) counts the jumps between each row and the next.
+    """
+
+    sizes: NDArray[np.int64]
+    component: NDArray[np.int64]
+    first_run: NDArray[np.int64]
+    labels: NDArray[np.int32]
+    slot: NDArray[np.int64]
+    down: NDArray[np.int64]
+
+
+def _find_components(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    halves: tuple[float, float],
+    *,
+    whole: bool,
+) -> _Components | None:
+    """Components of a picture; None where there are none, or (if ``whole`` is enough) only one."""
+    along, down = kernels.rows_with_jumps(x, y, *halves)
+    if whole and not along.any() and not down.any():
+        return None
     broken = along > 0
     slot = np.where(broken, np.cumsum(broken) - 1, -1)
     labels = np.empty((int(broken.sum()), x.shape[1]), np.int32)
     runs = kernels.label_runs(x, y, *halves, slot, labels)
     first_run = np.concatenate([[0], np.cumsum(runs)])
     if first_run[-1] == 0:
-        return OrderCheck(coordinates, wrong, 0, 0)
+        return None
     component, sizes = kernels.join_runs(x, y, *halves, slot, down, labels, first_run)
-    jumps = kernels.list_jumps(
-        x,
-        y,
-        first.variance,
-        second.variance,
-        np.array([first.period_px, second.period_px]),
-        slopes,
-        slot,
-        down,
-        labels,
-        first_run,
-        component,
-    )
-    verdict, shift = _judge(jumps, sizes, small, agreement)
-    _refuse_contradiction(names, verdict, shift, sizes, contradicted_share)
-    where = (slot, labels, first_run, component)
-    if verdict.any():
-        for name, moves in zip(names, shift.T, strict=False):
-            unwrapped, moved = axes[name], coordinates[name].copy()
-            kernels.apply_verdicts(
-                moved,
-                unwrapped.period_px,
-                unwrapped.extent,
-                np.ascontiguousarray(moves),
-                verdict,
-                *where,
-                wrong,
-            )
-            coordinates[name] = moved
-    if uncertain is not None:
-        supported = (sizes > small) | (verdict == kernels.REPAIR)
-        kernels.reject_unsupported(uncertain, *where, supported, wrong)
-    repaired = int(sizes[verdict == kernels.REPAIR].sum())
-    return OrderCheck(coordinates, wrong, repaired, int(wrong.sum()))
+    return _Components(sizes, component, first_run, labels, slot, down)
 
 
 def _usual_slope(coordinate: NDArray[np.float64]) -> float:

@@ -103,50 +103,14 @@ def _sweep() -> list[Record]:
     infeasible: list[_Outcome | None] = []
     for number, case in enumerate(_cases()):
         (outcomes if case.feasible else infeasible).append(_decode_case(case, number))
-    refused = sum(outcome is None for outcome in infeasible)
     feasible = [outcome for outcome in outcomes if outcome is not None]
-    lost = len(outcomes) - len(feasible)
-    unsure = [outcome for outcome in infeasible if outcome is not None]
-    worst = max(feasible, key=lambda outcome: outcome.sigma_over_theory)
-    farthest = max(feasible, key=lambda outcome: abs(outcome.sigma_over_predicted - 1))
-    pixels = sum(outcome.accepted for outcome in feasible)
     return [
-        Record(
-            name="decode.sigma_over_theory",
-            value=worst.sigma_over_theory,
-            unit="",
-            bound=1.05,
-            sense=Sense.AT_MOST,
-            runs=len(feasible),
-            note=f"worst of the sweep, {worst.case}",
-        ),
-        Record(
-            name="decode.sigma_over_predicted",
-            value=farthest.sigma_over_predicted,
-            unit="",
-            bound=(0.95, 1.05),
-            sense=Sense.WITHIN,
-            runs=len(feasible),
-            note=f"farthest from 1 in the sweep, {farthest.case}",
-        ),
-        Record(
-            name="decode.gross_fraction",
-            value=sum(outcome.gross for outcome in feasible) / pixels,
-            unit="",
-            bound=1e-4,
-            sense=Sense.AT_MOST,
-            runs=len(feasible),
-            note=f"half a period or more off; {lost} feasible cases refused",
-        ),
-        Record(
-            name="decode.gross_fraction_unfeasible",
-            value=sum(o.gross for o in unsure) / max(1, sum(o.accepted for o in unsure)),
-            unit="",
-            bound=1e-4,
-            sense=Sense.AT_MOST,
-            runs=len(infeasible),
-            note=f"where noise alone gives more than {_FEASIBLE:g} wrong orders; {refused} cases "
-            "refused whole",
+        *_precision(feasible),
+        _gross("decode.gross_fraction", outcomes, "half a period or more off"),
+        _gross(
+            "decode.gross_fraction_unfeasible",
+            infeasible,
+            f"where noise alone gives more than {_FEASIBLE:g} wrong orders",
         ),
         Record(
             name="decode.accepted_share",
@@ -168,6 +132,45 @@ def _sweep() -> list[Record]:
             f"{_SWEEP_PIXELS} pixels; mean {np.mean([o.flagged for o in feasible]):.2g}",
         ),
     ]
+
+
+def _precision(feasible: list[_Outcome]) -> list[Record]:
+    worst = max(feasible, key=lambda outcome: outcome.sigma_over_theory)
+    farthest = max(feasible, key=lambda outcome: abs(outcome.sigma_over_predicted - 1))
+    return [
+        Record(
+            name="decode.sigma_over_theory",
+            value=worst.sigma_over_theory,
+            unit="",
+            bound=1.05,
+            sense=Sense.AT_MOST,
+            runs=len(feasible),
+            note=f"worst of the sweep, {worst.case}",
+        ),
+        Record(
+            name="decode.sigma_over_predicted",
+            value=farthest.sigma_over_predicted,
+            unit="",
+            bound=(0.95, 1.05),
+            sense=Sense.WITHIN,
+            runs=len(feasible),
+            note=f"farthest from 1 in the sweep, {farthest.case}",
+        ),
+    ]
+
+
+def _gross(name: str, outcomes: list[_Outcome | None], note: str) -> Record:
+    decoded = [outcome for outcome in outcomes if outcome is not None]
+    accepted = sum(outcome.accepted for outcome in decoded)
+    return Record(
+        name=name,
+        value=sum(outcome.gross for outcome in decoded) / max(1, accepted),
+        unit="",
+        bound=1e-4,
+        sense=Sense.AT_MOST,
+        runs=len(outcomes),
+        note=f"{note}; {len(outcomes) - len(decoded)} cases refused whole",
+    )
 
 
 def _decode_case(case: _Case, seed: int) -> _Outcome | None:
