@@ -13,11 +13,14 @@ from __future__ import annotations
 import _thread
 import signal
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import FrameType
 
 _SIGNALS = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
 _requested = threading.Event()
 _raised = threading.Event()
+_held = threading.Event()
 
 
 def watch_for_interruption() -> None:
@@ -43,17 +46,33 @@ def stop_if_requested() -> None:
         raise KeyboardInterrupt
 
 
+@contextmanager
+def interruption_held() -> Iterator[None]:
+    """Let a request to stop wait until the block ends, and raise KeyboardInterrupt there.
+
+    For calls of compiled kernels: an exception that strikes while one is loaded or called is lost
+    in it, or takes the process down.
+    """
+    _held.set()
+    try:
+        yield
+    finally:
+        _held.clear()
+    stop_if_requested()
+
+
 def _wait_for_signals(watched: set[signal.Signals]) -> None:
     while True:
         signal.sigwait(watched)
         if _requested.is_set():
             continue  # the way out is not interrupted
         _requested.set()
-        _thread.interrupt_main()
+        if not _held.is_set():
+            _thread.interrupt_main()
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
     _requested.set()
-    if not _raised.is_set():
+    if not (_raised.is_set() or _held.is_set()):
         _raised.set()
         raise KeyboardInterrupt

@@ -18,6 +18,7 @@ from calibration.errors import CalibrationError
 from calibration.rig_geometry import RigGeometry
 from fitting.digital_copy import DigitalCopy
 from fitting.surface import Surface, SurfaceOptions, reconstruct_surface
+from workstation.interruption import interruption_held
 
 _ERROR_SUMMARY = (
     "height_noise",
@@ -105,10 +106,12 @@ def process_session(
     done()
 
     done = stage("decoding")
-    correspondence = decode(session.plan, session.read_frame, options.decoding)
+    with interruption_held():
+        correspondence = decode(session.plan, session.read_frame, options.decoding)
     done()
     done = stage("reconstructing the surface")
-    surface = reconstruct_surface(correspondence, rig, options.surface)
+    with interruption_held():
+        surface = reconstruct_surface(correspondence, rig, options.surface)
     done()
 
     figures = _figures(correspondence, surface) | {"seconds": seconds}

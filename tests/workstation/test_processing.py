@@ -59,3 +59,30 @@ def test_the_command_writes_a_picture_beside_the_copy_and_takes_a_seed(session, 
     copy = read_copy(out)
     assert copy.provenance["warnings"] == []
     assert copy.relief.delta0_mm == 0.4
+
+
+HELD = """
+import os, signal, sys, time
+from workstation.interruption import interruption_held, watch_for_interruption
+
+watch_for_interruption()
+try:
+    with interruption_held():
+        os.kill(os.getpid(), signal.{signal})
+        time.sleep(0.3)
+        print("whole", flush=True)
+    print("went on", flush=True)
+except KeyboardInterrupt:
+    print("interrupted", flush=True)
+"""
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_a_request_to_stop_waits_for_the_kernels(name):
+    done = subprocess.run(
+        [sys.executable, "-c", HELD.format(signal=name)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.stdout.split() == ["whole", "interrupted"], done.stderr
