@@ -126,7 +126,7 @@ def _cost(session: Path) -> list[Record]:
             bound=2.5,
             sense=Sense.AT_MOST,
             runs=_RUNS,
-            note=f"{about}; {cost.decoding_s:.2f} s of it decoding",
+            note=f"{about} in {cost.seconds:.2f} s, {cost.decoding_s:.2f} s of it decoding",
         ),
         Record(
             name="surface.peak_mb",
