@@ -21,7 +21,7 @@ from acquisition.plan import Imager
 from calibration.board_views import BoardView
 from calibration.boards import Chessboard
 from calibration.errors import CalibrationError
-from calibration.lens import Lens, compose, rt_from_matrix, transform
+from calibration.lens import Lens, compose, transform
 from calibration.mrcal_solve import LensSolution, solve_lenses, solve_without
 
 _FOLDS = 5
@@ -274,7 +274,7 @@ def _first_pose(lens: Lens, view: BoardView, points: NDArray[np.float64]) -> NDA
     found, turn, shift = cv2.solvePnP(flat, slopes[good], np.eye(3), np.zeros(4))
     if not found:
         raise CalibrationError(f"{view.name}: no pose of the board explains its corners")
-    return rt_from_matrix(cv2.Rodrigues(turn)[0], shift)
+    return np.concatenate([np.ravel(turn), np.ravel(shift)]).astype(np.float64)
 
 
 def _turning(gradient: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:

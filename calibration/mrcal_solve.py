@@ -301,7 +301,7 @@ def stored_views(solution: LensSolution) -> list[BoardView]:
     pixels = np.full((len(solution.names), lenses, rows, columns, 2), np.nan)
     sigma = np.ones(pixels.shape[:-1])
     for observed, (frame, lens, _) in zip(observations, indices, strict=True):
-        seen = observed[..., 2] != 0
+        seen = _seen(observed)
         pixels[frame, lens][seen] = observed[..., :2][seen]
         sigma[frame, lens][seen] = 1 / np.abs(observed[..., 2][seen])
     return [
@@ -412,6 +412,11 @@ def _cleaned(observations: NDArray[np.float64]) -> NDArray[np.float64]:
     return observations
 
 
+def _seen(observed: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which corners of an observation were seen: the others are at (0, 0), with a weight of -1."""
+    return np.asarray((observed[..., 2] > 0) | observed[..., :2].any(axis=-1))
+
+
 def _relative_pose(
     board: Chessboard, first: NDArray[np.float64], other: NDArray[np.float64]
 ) -> NDArray[np.float64]:
@@ -501,8 +506,7 @@ def _solution(inputs: dict[str, Any], names: tuple[str, ...]) -> LensSolution:
     for number, (frame, lens, _) in enumerate(indices):
         kept = weight[number] > 0
         residuals[frame, lens][kept] = measured[number][kept] / weight[number][kept][:, None]
-        # A corner that was never seen has no pixels.
-        outliers[frame, lens] = (weight[number] < 0) & observations[number, ..., :2].any(axis=-1)
+        outliers[frame, lens] = (weight[number] < 0) & _seen(observations[number])
     degrees = 2 * int((weight > 0).sum()) - mrcal.num_states(**inputs)
     chi2 = float(np.sum(measured[weight > 0] ** 2))
     if inputs["lensmodel"].startswith(_SPLINED):

@@ -97,7 +97,8 @@ def board_poses(
     poses = []
     for _ in range(count):
         axis = rng.uniform(-tilt, tilt, 2) if tilt else np.zeros(2)
-        turn = cv2.Rodrigues(np.array([axis[0], axis[1], rng.uniform(-0.3, 0.3)]))[0]
+        turning = np.array([axis[0], axis[1], rng.uniform(-0.3, 0.3)])
+        turn = np.asarray(cv2.Rodrigues(turning)[0], np.float64)
         depth = rng.uniform(600, 850)
         x = (rng.uniform(-0.36, -0.36 + 0.72 * region)) * depth * CAMERA.width / 2000
         y = rng.uniform(-0.33, 0.33) * depth * CAMERA.height / 2000
@@ -130,7 +131,8 @@ def simulate_boards(
     rng = np.random.default_rng(seed)
     points = BOARD.points if board_points is None else board_points
     lenses = true_rig()
-    views, kept = [], []
+    views: list[BoardView] = []
+    kept: list[NDArray[np.float64]] = []
     while len(views) < count:
         pose = board_poses(1, rng=rng, tilt=tilt, region=region)[0]
         pixels = []

@@ -14,6 +14,7 @@ class Benchmark(StrEnum):
 
     DECODE = "decode"
     SURFACE = "surface"
+    CALIBRATE = "calibrate"
     REFLECTANCE = "reflectance"
     DEMO = "demo"
 
