@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+# Where a device is: a port, a path, a URL; the system's own errors do not name an empty one.
+Address = Annotated[str, Field(pattern=r"^[^\x00]+$")]
 
 
 class DriverSettings(BaseModel):

@@ -9,6 +9,7 @@ homed again: what it did meanwhile is not known. Nothing that moves is ever sent
 
 from __future__ import annotations
 
+import atexit
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -82,6 +83,9 @@ class GrblLightArm:
         except BaseException:
             self._talk.line.close()
             raise
+        if open_port is None:
+            # A real arm goes dark and still though whoever opened it forgets to close it.
+            atexit.register(self.close)
 
     @property
     def capabilities(self) -> ArmCapabilities:
@@ -249,6 +253,7 @@ class GrblLightArm:
         finally:
             self._closed = True
             self._talk.line.close()
+            atexit.unregister(self.close)
 
     @contextmanager
     def _operation(self, doing: str, deadline: Deadline | None) -> Iterator[None]:

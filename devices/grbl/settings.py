@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from devices.discovery import Found
-from devices.settings import DriverSettings
+from devices.settings import Address, DriverSettings
 
 if TYPE_CHECKING:
     from devices.interfaces import LightArm
@@ -73,7 +73,7 @@ class GrblSettings(DriverSettings):
     """
 
     driver: Literal["grbl"] = "grbl"
-    port: str
+    port: Address
     baud_rate: Annotated[int, Field(gt=0)] = 115_200
     azimuth_deg: tuple[Degrees, Degrees] | None = None
     elevation_deg: tuple[Degrees, Degrees] | None = None

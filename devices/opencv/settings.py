@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from devices.discovery import Found
 from devices.interfaces import BayerPattern, Camera
-from devices.settings import DriverSettings
+from devices.settings import Address, DriverSettings
 
 
 class Backend(StrEnum):
@@ -90,7 +90,7 @@ class OpencvSettings(DriverSettings):
     """
 
     driver: Literal["opencv"] = "opencv"
-    source: Annotated[int, Field(ge=0)] | str
+    source: Annotated[int, Field(ge=0)] | Address
     backend: Backend | None = None
     pixel_format: Annotated[str, Field(min_length=3, max_length=4)] | None = None
     width: Annotated[int, Field(gt=0)] | None = None

@@ -71,6 +71,24 @@ def test_a_session_through_the_operating_system(controller, boot_s):
     assert not any(moment.moving and moment.lamp_on for moment in controller.timeline)
 
 
+FORGETFUL = """
+import math, sys
+from devices.grbl.settings import GrblSettings
+from devices.interfaces import ArmPose
+arm = GrblSettings(port=sys.argv[1]).open()
+arm.home()
+arm.move_to(ArmPose(math.radians(20), math.radians(10)))
+arm.switch_lamp(True)
+"""
+
+
+def test_a_program_that_ends_without_closing_its_arm_leaves_it_dark(controller):
+    with SimulatedGrblPort(controller, time_scale=10) as port:
+        subprocess.run([sys.executable, "-c", FORGETFUL, port.address], check=True, timeout=60)
+        assert any(moment.lamp_on for moment in controller.timeline)
+        assert not controller.lamp_on
+
+
 def test_a_controller_keeps_its_position_from_nobody(controller):
     """Who opens the port next must home, though the controller still counts."""
     with SimulatedGrblPort(controller, time_scale=10) as port:

@@ -200,6 +200,7 @@ CAMERA = '[camera]\ndriver = "spy"\n'
         (f"{CAMERA}nested = {{depth = 'x'}}", "line 3: camera.nested.depth: Input should be"),
         ("[camra]\ndriver = 'spy'", "line 1: camra: unknown table; did you mean camera"),
         ("[stage]\n", "line 1: stage: unknown table; known are arm, camera, mount, projector"),
+        ('[arm]\ndriver = "grbl"\nport = ""\n', "line 3: arm.port: "),
         ("[camera\n", r"not TOML \(.*line 1"),
         ("[camera]\ndriver = 'spy'\n[camera]\n", "not TOML"),
         ("", "rig.toml: the file describes no device"),
