@@ -183,12 +183,12 @@ def list_jumps(  # type: ignore[no-untyped-def]
 
     Returns
     -------
-    (jumps, 5) int64 array
-        The two components; whole periods from the first to the second, for each axis; and 1 where
-        the phase goes on across the jump.
+    (jumps, 6) int64 array
+        The two components; whole periods from the first to the second, for each axis; 1 where the
+        phase goes on across the jump; and the first one's pixel, counted along the rows.
     """
     rows, cols = x.shape
-    found, count = np.empty((1024, 5), np.int64), 0
+    found, count = np.empty((1024, 6), np.int64), 0
     half_x, half_y = 0.5 * periods[0], 0.5 * periods[1]
     jump = np.zeros(2, np.int64)
     for r in range(rows):
@@ -211,7 +211,7 @@ def list_jumps(  # type: ignore[no-untyped-def]
                 if a == b:
                     continue
                 if count == len(found):
-                    more = np.empty((2 * count, 5), np.int64)
+                    more = np.empty((2 * count, 6), np.int64)
                     more[:count] = found
                     found = more
                 apart = nr - r + nc - c
@@ -220,12 +220,13 @@ def list_jumps(  # type: ignore[no-untyped-def]
                 )
                 found[count, 0], found[count, 1] = a, b
                 found[count, 2], found[count, 3], found[count, 4] = jump[0], jump[1], on
+                found[count, 5] = r * cols + c
                 count += 1
     return found[:count]
 
 
 @njit(cache=True)
-def judge_components(order, rank, first_jump, jumps, sizes, small, agreement):  # type: ignore[no-untyped-def]
+def judge_components(order, rank, first_jump, jumps, sizes, steps, small, agreement):  # type: ignore[no-untyped-def]
     """What is to be done about every component, and by how many periods it is shifted.
 
     Components are judged from the largest down, by the jumps to those larger than themselves.
@@ -236,9 +237,11 @@ def judge_components(order, rank, first_jump, jumps, sizes, small, agreement):  
         Components by falling size, and the place of each in that order.
     first_jump : (components + 1,) int64 array
         Where the jumps of each component begin in ``jumps``.
-    jumps : (jumps, 5) int64 array
+    jumps : (jumps, 5 or more) int64 array
         As of :func:`list_jumps`, each listed for both of its components, which comes first.
     sizes : (components,) int64 array
+    steps : (components,) bool array
+        Components that a step of the surface parts from the others: they are kept.
     small : int
         Components of no more pixels must be borne out by a neighbour.
     agreement : float
@@ -252,6 +255,8 @@ def judge_components(order, rank, first_jump, jumps, sizes, small, agreement):  
     shift = np.zeros((len(order), 2), np.int64)
     proposals = np.zeros((16, 3), np.int64)
     for component in order:
+        if steps[component]:
+            continue
         known, edges = 0, 0
         for number in range(first_jump[component], first_jump[component + 1]):
             other = jumps[number, 1]

@@ -17,6 +17,12 @@ of the surface moves the coordinate along the baseline by any amount, not by who
 of arbitrary coordinates is taken for one to be repaired with the probability that its phase falls
 within the tolerance around that of its neighbours, some 2 × 5 √2 σ_x / L per axis.
 
+*Steps of the surface.* A frame stands before its wall by the same height everywhere, and that can
+be worth whole periods by chance. Then it is no small part that contradicts its neighbours, and it
+does so along a line that has nothing to do with the panel: a wrong code is wrong from a certain
+coordinate on, so its border keeps to one coordinate, while a frame's runs across them. Large
+components whose border does not keep to a coordinate are left as they were decoded.
+
 If a large share of the picture contradicts its neighbours in that way, it is no noise: pictures of
 the code were taken for one another, and the decoding is refused.
 """
@@ -39,6 +45,15 @@ _SLOPE_ALLOWANCE = 4.0
 _SUBSTANTIAL_PIXELS = 30
 _SUBSTANTIAL_SHARE = 1e-3
 _SAMPLED_LINES = 40
+# A border keeps to a coordinate where this share of it is within this share of a period of the
+# median among its pixels of one order; one that runs across the fringes has a fifth there.
+_KEEPS_SHARE = 0.75
+_KEEPS_PERIODS = 0.1
+# Smaller components are put right whatever their border: that one goes on all around by chance is
+# no rarer, but what is at stake is.
+_STEP_SHARE = 0.03
+_LEAST_OF_AN_ORDER = 5
+_LEAST_OF_A_BORDER = 20
 
 
 @dataclass(frozen=True)
@@ -164,7 +179,7 @@ def check_orders(
         found.first_run,
         found.component,
     )
-    verdict, shift = _judge(jumps, found.sizes, small, agreement)
+    verdict, shift = _judge_but_steps(jumps, found.sizes, pair, slopes, small, agreement)
     _refuse_contradiction(names, verdict, shift, found.sizes, contradicted_share)
     where = (found.slot, found.labels, found.first_run, found.component)
     if verdict.any():
@@ -234,18 +249,67 @@ def _usual_slope(coordinate: NDArray[np.float64]) -> float:
     return _SLOPE_ALLOWANCE * max(medians)
 
 
+def _judge_but_steps(
+    jumps: NDArray[np.int64],
+    sizes: NDArray[np.int64],
+    pair: tuple[UnwrappedAxis, UnwrappedAxis],
+    slopes: NDArray[np.float64],
+    small: int,
+    agreement: float,
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Verdict and shift of every component, with those kept that a step of the surface parts."""
+    steps = np.zeros(len(sizes), np.bool_)
+    while True:
+        verdict, shift = _judge(jumps, sizes, steps, small, agreement)
+        suspects = (sizes > _STEP_SHARE * sizes.sum()) & (verdict != kernels.KEEP)
+        suspects &= shift.any(axis=1)
+        parted = [c for c in np.nonzero(suspects)[0] if not _is_of_the_code(c, jumps, pair, slopes)]
+        if not parted:
+            return verdict, shift
+        steps[parted] = True
+
+
+def _is_of_the_code(
+    component: np.int64,
+    jumps: NDArray[np.int64],
+    pair: tuple[UnwrappedAxis, UnwrappedAxis],
+    slopes: NDArray[np.float64],
+) -> bool:
+    """Whether a component's border of whole periods keeps to coordinates of the panel."""
+    own = ((jumps[:, 0] == component) | (jumps[:, 1] == component)) & (jumps[:, 4] == 1)
+    for number, axis in enumerate(pair):
+        border = jumps[own & (jumps[:, 2 + number] != 0), 5]
+        at = axis.coordinate.ravel()[border]
+        near = max(_KEEPS_PERIODS * axis.period_px, slopes[number] / 2)
+        near = min(near, axis.period_px / 4)
+        order = np.floor(at / axis.period_px)
+        counted, keeping = 0, 0
+        for one in np.unique(order):
+            of_order = at[order == one]
+            if len(of_order) >= _LEAST_OF_AN_ORDER:
+                counted += len(of_order)
+                keeping += int((np.abs(of_order - np.median(of_order)) <= near).sum())
+        if counted >= _LEAST_OF_A_BORDER and keeping >= _KEEPS_SHARE * counted:
+            return True
+    return False
+
+
 def _judge(
-    jumps: NDArray[np.int64], sizes: NDArray[np.int64], small: int, agreement: float
+    jumps: NDArray[np.int64],
+    sizes: NDArray[np.int64],
+    steps: NDArray[np.bool_],
+    small: int,
+    agreement: float,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     order, rank = kernels.component_rank(sizes)
     # A jump from a to b by n periods: b must move by -n to agree with a, and a by n to agree with
     # b. Listed from the component that would move.
     back = jumps[:, [1, 0, 2, 3, 4]] * np.array([1, 1, -1, -1, 1])
-    both = np.concatenate([jumps, back])
+    both = np.concatenate([jumps[:, :5], back])
     both = np.ascontiguousarray(both[np.argsort(both[:, 0], kind="stable")])
     first_jump = np.searchsorted(both[:, 0], np.arange(len(sizes) + 1))
     verdict, shift = kernels.judge_components(
-        order, rank, first_jump, both, sizes, small, agreement
+        order, rank, first_jump, both, sizes, steps, small, agreement
     )
     return verdict, shift
 
