@@ -12,6 +12,7 @@ import typer
 class Benchmark(StrEnum):
     """The benchmarks there are: modules of :mod:`workstation.benchmarks`."""
 
+    ACQUIRE = "acquire"
     DECODE = "decode"
     SURFACE = "surface"
     CALIBRATE = "calibrate"
