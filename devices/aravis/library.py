@@ -10,7 +10,7 @@ from devices.errors import DeviceError, DeviceLostError, MissingPackageError
 from devices.optional_packages import import_optional
 
 _NEEDED_BY = "a GenICam camera"
-_INSTALL = "apt install gir1.2-aravis-0.8 python3-gi"
+_INSTALL = "apt install gir1.2-aravis-0.8 python3-gi, then scripts/bootstrap"
 # The port that GigE Vision cameras are controlled through.
 FIREWALL_HINT = "look at its cable and power, and let UDP through the firewall (port 3956)"
 

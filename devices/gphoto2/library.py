@@ -28,7 +28,9 @@ def load_gphoto2() -> Any:
     MissingPackageError
         It is not installed.
     """
-    return import_optional("gphoto2", needed_by="a tethered camera", install="pip install gphoto2")
+    return import_optional(
+        "gphoto2", needed_by="a tethered camera", install=".venv/bin/pip install gphoto2"
+    )
 
 
 class CameraBusyError(DeviceError):

@@ -59,7 +59,9 @@ def decode_raw(data: bytes, *, name: str) -> RawPicture:
     DeviceError
         It is a JPEG, cut off, of an unknown camera, or holds no mosaic of two by two colours.
     """
-    rawpy = import_optional("rawpy", needed_by="a tethered camera", install="pip install rawpy")
+    rawpy = import_optional(
+        "rawpy", needed_by="a tethered camera", install=".venv/bin/pip install rawpy"
+    )
     if is_jpeg(data):
         raise DeviceError(f"{name} is a JPEG, which cannot be measured with; set the camera to raw")
     try:

@@ -52,7 +52,9 @@ def open_serial_port(address: str, baud_rate: int) -> SerialPort:
     DeviceError
         It is not there, not ours to use, or in use; the message says which.
     """
-    serial = import_optional("serial", needed_by="the light arm", install="pip install pyserial")
+    serial = import_optional(
+        "serial", needed_by="the light arm", install=".venv/bin/pip install pyserial"
+    )
     try:
         return serial.Serial(
             address,

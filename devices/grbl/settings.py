@@ -147,7 +147,7 @@ def _listed_ports() -> list[str]:
     """Serial ports with hardware behind them."""
     from devices.optional_packages import import_optional
 
-    import_optional("serial", needed_by="the light arm", install="pip install pyserial")
+    import_optional("serial", needed_by="the light arm", install=".venv/bin/pip install pyserial")
     from serial.tools.list_ports import comports
 
     # Built-in ports that do not exist are listed all the same, without hardware.
