@@ -2,6 +2,7 @@
 
 Scans and photographs are recorded alike. What is left out of a bracket is decided from the frames
 on the disk alone, so that a recording that was cut off anywhere goes on as if it had not been.
+A frame is put on the disk while the next one is exposed.
 Lights go out and motion stops on every way out.
 """
 
@@ -9,6 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -19,8 +21,10 @@ from acquisition.patterns import BLACK, WHITE
 from acquisition.plan import Plan, PlannedFrame, Purpose
 from acquisition.scene_setting import SceneSetter
 from acquisition.session_writer import SessionWriter
+from acquisition.write_behind import WriteBehind
 from devices.errors import DeviceError, FrameOrderError
 from devices.frame_order import differ_beyond_noise
+from devices.interfaces import Frame
 from devices.manual_mount import nobody_confirms
 from devices.rig import Rig
 
@@ -44,7 +48,7 @@ def record_plan(
     rig : Rig
         With the devices that the plan needs.
     advance : callable, optional
-        Called with each frame id once it is recorded or skipped.
+        Called with each frame id once it is taken or skipped; it may be on its way to the disk yet.
     confirm : callable, optional
         Asks the person at the desk to put a target before the painting; true once that is done.
     wait : callable, optional
@@ -67,44 +71,41 @@ def record_plan(
     brackets = _Brackets(writer)
     flats = _Flats(plan)
     rig.begin_recording()
-    try:
-        _check_devices(plan, rig)
-        rig.blank()
-        for number, planned in enumerate(plan.frames):
-            if planned.id not in missing:
-                continue
-            need = brackets.need_of(number)
-            if need is not None and not need.needed:
-                writer.skip(
-                    planned.id,
-                    reason=need.reason,
-                    pixels=need.pixels,
-                    saturating=need.saturating,
-                )
-            else:
-                _take(writer, rig, planned, scene=scene, flats=flats, need=need)
-            advance(planned.id)
-        writer.finish()
-    finally:
-        rig.make_safe()
+    with WriteBehind() as disk:
+        try:
+            _check_devices(plan, rig)
+            rig.blank()
+            for number, planned in enumerate(plan.frames):
+                if planned.id not in missing:
+                    continue
+                if brackets.asks_of(number):
+                    disk.settle()
+                need = brackets.need_of(number)
+                if need is None or need.needed:
+                    frame = _take(writer, rig, planned, scene=scene)
+                    flats.check(planned, frame.image)
+                    write = partial(_record, writer, planned, frame, need)
+                else:
+                    write = partial(_skip, writer, planned, need)
+                disk.submit(write)
+                advance(planned.id)
+            disk.settle()
+            writer.finish()
+        finally:
+            rig.make_safe()
 
 
-def _take(
-    writer: SessionWriter,
-    rig: Rig,
-    planned: PlannedFrame,
-    *,
-    scene: SceneSetter,
-    flats: _Flats,
-    need: Need | None,
-) -> None:
-    """Take one frame and put it on the disk."""
+def _take(writer: SessionWriter, rig: Rig, planned: PlannedFrame, *, scene: SceneSetter) -> Frame:
+    """Take one frame."""
     if planned.exposure_s is None:
         raise DeviceError(f"frame {planned.id}: the plan names no exposure")
-    require_space(writer.path, frame_bytes(writer.plan), what=f"frame {planned.id}")
+    # Another one may be on its way to the disk.
+    require_space(writer.path, 2 * frame_bytes(writer.plan), what=f"frame {planned.id}")
     scene.set_for(planned)
-    frame = rig.capture(planned.exposure_s)
-    flats.check(planned, frame.image)
+    return rig.capture(planned.exposure_s)
+
+
+def _record(writer: SessionWriter, planned: PlannedFrame, frame: Frame, need: Need | None) -> None:
     writer.record(
         planned.id,
         frame.image,
@@ -115,6 +116,10 @@ def _take(
         subject=frame.subject,
         needed_by=None if need is None else need.pixels,
     )
+
+
+def _skip(writer: SessionWriter, planned: PlannedFrame, need: Need) -> None:
+    writer.skip(planned.id, reason=need.reason, pixels=need.pixels, saturating=need.saturating)
 
 
 class _Brackets:
@@ -128,17 +133,22 @@ class _Brackets:
         self._added: set[str] = set()
         self._black_levels: dict[str | None, float] = {}
 
+    def asks_of(self, number: int) -> bool:
+        """Whether frames before a planned one, which must be on the disk, tell if it is needed."""
+        frames = self._plan.frames
+        name = frames[number].bracket
+        asked = self._plan.bracketing is not None and name is not None
+        return asked and number > 0 and frames[number - 1].bracket == name
+
     def need_of(self, number: int) -> Need | None:
-        """Need of a planned frame; None where the plan does not ask, or nothing tells yet."""
+        """Need of a planned frame; None where :meth:`asks_of` says no."""
         frames = self._plan.frames
         planned, rule = frames[number], self._plan.bracketing
-        if rule is None or planned.bracket is None:
+        if rule is None or not self.asks_of(number):
             return None
         first = number
         while first > 0 and frames[first - 1].bracket == planned.bracket:
             first -= 1
-        if first == number:
-            return None
         if self._name != planned.bracket or self._bracket is None:
             self._name, self._added = planned.bracket, set()
             self._bracket = AdaptiveBracket(
