@@ -9,6 +9,7 @@ checksums of their own, and the contact sheet, which can be drawn anew.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -194,12 +195,22 @@ def files_of_session(path: Path) -> set[str]:
     return {file.relative_to(path).as_posix() for file in path.rglob("*") if file.is_file()}
 
 
-def manifest_text(path: Path) -> str:
-    """Manifest of a session folder as it is: a digest and a path per line, sorted by path."""
+def manifest_text(path: Path, recorded: Iterable[FrameRecorded]) -> str:
+    """Manifest of a session folder: a digest and a path per line, sorted by path.
+
+    Parameters
+    ----------
+    path : Path
+    recorded : iterable of FrameRecorded
+        Their digests are those of what was written; other files are read.
+    """
+    known = {entry.file: entry.sha256 for entry in recorded}
+
+    def digest(name: str) -> str:
+        return known.get(name) or hashlib.sha256((path / name).read_bytes()).hexdigest()
+
     covered = sorted(files_of_session(path) - _UNCOVERED)
-    return "".join(
-        f"{hashlib.sha256((path / name).read_bytes()).hexdigest()}  {name}\n" for name in covered
-    )
+    return "".join(f"{digest(name)}  {name}\n" for name in covered)
 
 
 def _read_manifest(file: Path) -> dict[str, str]:

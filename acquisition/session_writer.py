@@ -265,7 +265,8 @@ class SessionWriter:
                 f"{self.missing[0]}"
             )
         with _explaining(self._path / MANIFEST_FILE, _STAYS_VALID):
-            write_bytes(self._path / MANIFEST_FILE, manifest_text(self._path).encode())
+            manifest = manifest_text(self._path, self._recorded.values())
+            write_bytes(self._path / MANIFEST_FILE, manifest.encode())
             self._stop(StopReason.SUCCESS, "")
 
     def __enter__(self) -> SessionWriter:
