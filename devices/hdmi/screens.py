@@ -176,7 +176,7 @@ def load_pyglet() -> Any:
         It, or the system's OpenGL, cannot be loaded.
     """
     pyglet = import_optional(
-        "pyglet", needed_by="a projector on a screen", install="pip install 'pyglet>=2'"
+        "pyglet", needed_by="a projector on a screen", install=".venv/bin/pip install 'pyglet>=2'"
     )
     pyglet.options["headless"] = False
     pyglet.options["shadow_window"] = False

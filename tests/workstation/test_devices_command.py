@@ -57,7 +57,7 @@ def test_a_missing_package_is_information_and_no_error(tmp_path, monkeypatch):
     assert done.returncode == 0, done.stderr
     figures = {e["driver"]: e for e in json.loads((tmp_path / "f.json").read_text())}
     for driver, package in (("gphoto2", "gphoto2"), ("grbl", "pyserial")):
-        assert f"install it: pip install {package}" in figures[driver]["missing"]
+        assert f"pip install {package}" in figures[driver]["missing"]
         assert figures[driver]["problem"] is None
         assert figures[driver]["found"] == []
     assert "not installed: " in done.stdout
