@@ -13,7 +13,6 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 KEEP, REPAIR, AMBIGUOUS, ISOLATED = 0, 1, 2, 3
-_REACH = 3  # pixels that a gap of rejected pixels may be wide
 
 
 @njit(parallel=True, cache=True)
@@ -155,10 +154,10 @@ def _compare(x, y, variance_x, variance_y, here, there, apart, periods, slopes, 
 
 
 @njit(inline="always")
-def _next_along(r, c, step_down, rows, cols, slot, labels):  # type: ignore[no-untyped-def]
-    """Next pixel with a coordinate to the right or below, not far off, and its run's label."""
+def _next_along(r, c, step_down, reach, rows, cols, slot, labels):  # type: ignore[no-untyped-def]
+    """Next pixel with a coordinate to the right or below, within reach, and its run's label."""
     nr, nc = r, c
-    for _ in range(_REACH + 1):
+    for _ in range(reach):
         nr, nc = nr + step_down, nc + 1 - step_down
         if nr >= rows or nc >= cols:
             return nr, nc, -1
@@ -170,7 +169,7 @@ def _next_along(r, c, step_down, rows, cols, slot, labels):  # type: ignore[no-u
 
 @njit(cache=True)
 def list_jumps(  # type: ignore[no-untyped-def]
-    x, y, variance_x, variance_y, periods, slopes, slot, down, labels, first_run, component
+    x, y, variance_x, variance_y, periods, slopes, reach, slot, down, labels, first_run, component
 ):
     """Pairs of neighbouring pixels of different components.
 
@@ -180,6 +179,8 @@ def list_jumps(  # type: ignore[no-untyped-def]
     ----------
     periods, slopes : (2,) float64 arrays
         Period of each axis, and how much a coordinate may change from pixel to pixel.
+    reach : int
+        How far apart two pixels may be, across rejected ones, in pixels.
 
     Returns
     -------
@@ -204,7 +205,7 @@ def list_jumps(  # type: ignore[no-untyped-def]
                 here = _run_at(labels, slot, r, c)
                 if here < 0:
                     continue
-                nr, nc, there = _next_along(r, c, step_down, rows, cols, slot, labels)
+                nr, nc, there = _next_along(r, c, step_down, reach, rows, cols, slot, labels)
                 if there < 0:
                     continue
                 a, b = component[first_run[r] + here], component[first_run[nr] + there]

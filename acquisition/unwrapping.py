@@ -41,6 +41,8 @@ from acquisition.patterns import Axis
 
 # Neighbours' coordinates differ by no more than this many times the median difference.
 _SLOPE_ALLOWANCE = 4.0
+# Neighbours may be this many pixels apart, where those between them are rejected.
+_FARTHEST = 4
 # Pixels of a component that counts towards a systematic contradiction.
 _SUBSTANTIAL_PIXELS = 30
 _SUBSTANTIAL_SHARE = 1e-3
@@ -173,6 +175,7 @@ def check_orders(
         pair[1].variance,
         2 * np.array(halves),
         slopes,
+        _reach(slopes, halves),
         found.slot,
         found.down,
         found.labels,
@@ -247,6 +250,15 @@ def _usual_slope(coordinate: NDArray[np.float64]) -> float:
         there = steps[np.isfinite(steps)]
         medians.append(float(np.median(there)) if len(there) else 0.0)
     return _SLOPE_ALLOWANCE * max(medians)
+
+
+def _reach(slopes: NDArray[np.float64], halves: tuple[float, float]) -> int:
+    """How far apart pixels may be compared: the usual slope takes a quarter of a period at most.
+
+    Beyond, the surface itself would be counted as a whole period.
+    """
+    steepest = max(slope / (2 * half) for slope, half in zip(slopes, halves, strict=True))
+    return _FARTHEST if steepest * _FARTHEST <= 1 else max(1, int(1 / steepest))
 
 
 def _judge_but_steps(

@@ -79,6 +79,15 @@ def test_a_patch_behind_a_gap_of_rejected_pixels_is_repaired():
     np.testing.assert_allclose(check.coordinates[Axis.COLUMN][there], truth[there], atol=1e-9)
 
 
+def test_a_steep_surface_seen_through_gaps_is_not_moved_by_its_own_slope():
+    """Three pixels on, the coordinate is half a period further: that is no wrong order."""
+    truth = noisy(50 + 1.9 / 1.4 * ramp(), sigma=0.3)
+    truth[np.random.default_rng(4).random(truth.shape) < 0.75] = np.nan
+    check = check_orders({Axis.COLUMN: axis_of(truth, sigma=0.3, period=10.24, extent=1280)})
+    np.testing.assert_array_equal(check.coordinates[Axis.COLUMN], truth)
+    assert check.repaired_pixels == 0
+
+
 def test_both_axes_must_go_on_across_a_repair():
     column, row = noisy(ramp()), noisy(ramp().T[:240, :240] @ np.eye(240, 320), seed=1)
     row = np.linspace(0, 300, 240)[:, np.newaxis] + np.zeros((240, 320))
