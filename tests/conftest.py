@@ -40,3 +40,11 @@ def rig_geometry() -> RigGeometry:
         320,
     )
     return RigGeometry(camera, projector, np.array([0.02, 0.35, 0.01, -150.0, 6.0, 25.0]))
+
+
+@pytest.fixture(params=[signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def ending_signal(request: pytest.FixtureRequest) -> signal.Signals:
+    """A signal that ends commands: all but the one that ``nohup`` tells them to ignore."""
+    if signal.getsignal(request.param) is signal.SIG_IGN:
+        pytest.skip(f"the tests were started to ignore {request.param.name}")
+    return signal.Signals(request.param)
