@@ -16,6 +16,7 @@ The phase is corrected by subtracting e(φ), and its variance grows by :math:`(1
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +36,9 @@ _LEAST_EQUATIONS = 500
 _ENOUGH_EQUATIONS = 12_000
 _TUKEY = 4.685
 _ITERATIONS = 12
+# Turns from pixel to pixel below which harmonics are smooth, and pixels that suffice to tell.
+_STEEP = 1 / 64
+_FOR_STEEPNESS = 4096
 
 
 @dataclass(frozen=True)
@@ -168,6 +172,59 @@ def series_of_coarse(
     solution = np.insert(solution, 1, 0.0)
     covariance = np.insert(np.insert(covariance, 1, 0.0, axis=0), 1, 0.0, axis=1)
     return _series(fitted, solution, covariance)
+
+
+def steep_harmonics(
+    pictures: NDArray[np.float64],
+    phasor: NDArray[np.complex128],
+    *,
+    light: NDArray[np.float64],
+    use: NDArray[np.bool_],
+    orders: Iterable[int],
+) -> NDArray[np.float64]:
+    """What follows a fringe's phase in pictures, where the phase is steep along rows.
+
+    The response is the projector's, so that harmonic h leaves cos hφ and sin hφ in proportion to
+    the projector's light.
+
+    Parameters
+    ----------
+    pictures : (n, rows, cols) array
+    phasor : (rows, cols) complex array
+        Of the phase φ, in any proportion.
+    light : (rows, cols) array
+        In any unit.
+    use : (rows, cols) bool array
+        Pixels that tell.
+    orders : iterable of int
+
+    Returns
+    -------
+    (n, rows, cols) array, or (n, 1, 1)
+        Zeros where the phase rises by so little from pixel to pixel that harmonics are smooth, or
+        where there are too few pixels.
+    """
+    nothing = np.zeros((len(pictures), 1, 1))
+    if phasor.shape[1] < 2 or use.sum() < _LEAST_EQUATIONS:
+        return nothing
+    rows = phasor[:: 1 + phasor.size // _FOR_STEEPNESS]
+    turns = np.angle(rows[:, 1:] * rows[:, :-1].conj()) / (2 * np.pi)
+    if not np.median(np.abs(turns)) > _STEEP:
+        return nothing
+    unit = phasor / np.maximum(np.abs(phasor), 1e-12)
+    waves = [light * unit**order for order in orders]
+    design = np.stack(
+        [light, *(part for wave in waves for part in (wave.real, wave.imag))], axis=-1
+    )
+    told, observed = design[use], pictures[:, use].T
+    every = 1 + len(told) // _ENOUGH_EQUATIONS
+    told, observed = told[::every], observed[::every]
+    kept = np.ones(len(told), np.bool_)
+    for _ in range(3):
+        solution = np.linalg.lstsq(told[kept], observed[kept], rcond=1e-8)[0]
+        left = ((observed - told @ solution) ** 2).sum(axis=1)
+        kept = left <= 9 * np.median(left)
+    return np.moveaxis(design[..., 1:] @ solution[1:], -1, 0)
 
 
 def held_out_residual(

@@ -3,20 +3,23 @@
 A linear sensor's noise grows with the light (photon transfer): ``variance = read + gain * level``
 in squared sensor numbers. Where a calibrated sensor model exists it is used; a foreign capture has
 none, but its fringes are redundant, and what the fringe model leaves unexplained holds the noise,
-beside harmonics of the projector that are smooth in space and no noise.
+beside harmonics of the projector that are no noise. Where the fringe is many pixels long they are
+smooth in space; where it is not, they are told by following its phase, and taken out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import ndimage, stats
 
 from acquisition.frame_files import Samples
 from acquisition.fringes import Fringe
+from acquisition.harmonics import steep_harmonics
 
 QUANTISATION_VARIANCE = 1 / 12
 # Standard error of a variance from the median of squares, over that from their mean.
@@ -25,6 +28,10 @@ _MEDIAN_EXCESS = 1.3
 _SIGNIFICANT = 3.0
 # Samples that an estimate needs.
 _ENOUGH = 100
+# Pixels over which levels are averaged.
+_LEVEL_PX = 31
+# Distances along rows at which neighbours are compared; 0 compares none.
+_LAGS = (1, 2, 0)
 
 
 @dataclass(frozen=True)
@@ -119,7 +126,12 @@ def estimate_noise(
 
     With four steps or more, the white part of each fringe's own residual; with three, the white
     part of what the means of several fringes disagree by; with a single three-step fringe, the
-    differences of neighbouring pixels, which also hold texture, so that the noise is overestimated.
+    differences of its mean at neighbouring pixels, which also hold texture, so that the noise is
+    overestimated.
+
+    What is white shows in the differences of neighbours along rows; of every second one where too
+    few have good neighbours, as where one colour of a mosaic is saturated; and in a picture too
+    small for either all that a fringe leaves counts as noise.
 
     Parameters
     ----------
@@ -134,81 +146,156 @@ def estimate_noise(
     """
     redundant = [(fringe, stack) for fringe, stack in fringes if fringe.steps > 3]
     if redundant:
-        freedom = redundant[0][0].steps - 3
-        alike = [pair for pair in redundant if pair[0].steps - 3 == freedom]
-        found = [_white_residual(fringe, stack, saturation) for fringe, stack in alike]
-        if sum(len(level) for level, _ in found) > _ENOUGH:
-            return fit_sample_noise(
-                np.concatenate([level for level, _ in found]),
-                np.concatenate([squares for _, squares in found]),
-                degrees_of_freedom=freedom,
-                quantile=0.5 if freedom == 1 else 0.7,
-                origin=f"white part of the residual of {freedom + 3} phase steps",
-            )
-    if len(fringes) > 1:
-        level, squares = _white_disagreement([stack for _, stack in fringes], saturation)
-        if len(level) > _ENOUGH:
-            return fit_sample_noise(
-                level,
-                squares,
-                degrees_of_freedom=len(fringes) - 1,
-                origin=f"agreement of the means of {len(fringes)} fringes",
-            )
-    frame = fringes[0][1][0].astype(np.float64)
-    second = _second_differences(frame)
-    unsaturated = _unsaturated(fringes[0][1][:1], saturation)
-    if not unsaturated.any():
-        return SampleNoise(QUANTISATION_VARIANCE, 0.0, "quantisation: too little to tell more from")
-    return fit_sample_noise(
-        frame[:, 1:-1][unsaturated],
-        second[unsaturated] ** 2,
+        steps = redundant[0][0].steps
+        alike = [pair for pair in redundant if pair[0].steps == steps]
+        return _first_found(
+            partial(_white_residuals, alike, saturation),
+            degrees_of_freedom=steps - 3,
+            quantile=0.5 if steps == 4 else 0.7,
+            origin=f"white part of the residual of {steps} phase steps",
+        )
+    steps = fringes[0][0].steps
+    alike = [pair for pair in fringes if pair[0].steps == steps]
+    if len(alike) > 1:
+        return _first_found(
+            partial(_white_disagreement, alike, saturation),
+            degrees_of_freedom=len(alike) - 1,
+            origin=f"agreement of the means of {len(alike)} fringes",
+        )
+    return _first_found(
+        partial(_white_means, alike[0], saturation),
         degrees_of_freedom=1,
         origin="differences of neighbouring pixels (includes texture)",
     )
 
 
-def _second_differences(images: NDArray[np.float64]) -> NDArray[np.float64]:
+_Squares = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+
+def _first_found(
+    at_lag: Callable[[int], _Squares],
+    *,
+    degrees_of_freedom: int,
+    origin: str,
+    quantile: float = 0.5,
+) -> SampleNoise:
+    """Noise from levels and squares at the first lag that tells enough of them."""
+    for lag in _LAGS:
+        level, squares = at_lag(lag)
+        if len(level) > (_ENOUGH if lag else 0):
+            return fit_sample_noise(
+                level,
+                squares,
+                degrees_of_freedom=degrees_of_freedom,
+                quantile=quantile,
+                origin=origin if lag else f"{origin}, of {len(level)} pixels as they are",
+            )
+    return SampleNoise(QUANTISATION_VARIANCE, 0.0, "quantisation: too little to tell more from")
+
+
+def _white(pictures: NDArray[np.float64], lag: int) -> NDArray[np.float64]:
     """White part of pictures (..., rows, cols): second differences along rows, of their variance.
 
     What is smooth along a row (harmonics of the projector, steps of its grey levels) drops out.
     """
-    return (images[..., 2:] - 2 * images[..., 1:-1] + images[..., :-2]) / np.sqrt(6)
+    if lag == 0:
+        return pictures
+    outer = pictures[..., 2 * lag :] + pictures[..., : -2 * lag]
+    return (outer - 2 * _inner(pictures, lag)) / np.sqrt(6)
 
 
-def _unsaturated(stack: Samples, saturation: int | None) -> NDArray[np.bool_]:
-    """(rows, cols - 2) mask of pixels that, like their neighbours, stay below the ceiling."""
-    rows, cols = stack.shape[1:]
-    if saturation is None or cols < 3:
-        return np.ones((rows, max(0, cols - 2)), np.bool_)
+def _inner(pictures: NDArray[np.floating], lag: int) -> NDArray[np.floating]:
+    """The pixels of pictures (..., cols) that have neighbours at a lag."""
+    return pictures[..., lag : pictures.shape[-1] - lag]
+
+
+def _unsaturated(stack: Samples, saturation: int | None, lag: int) -> NDArray[np.bool_]:
+    """(rows, cols - 2 lag) mask of pixels that, like their neighbours, stay below the ceiling."""
+    cols = max(0, stack.shape[2] - 2 * lag)
+    if saturation is None or cols == 0:
+        return np.ones((stack.shape[1], cols), np.bool_)
     below = (stack < saturation).all(axis=0)
-    return below[:, 2:] & below[:, 1:-1] & below[:, :-2]
+    alike = [below[:, first : first + cols] for first in (0, lag, 2 * lag)]
+    return np.logical_and.reduce(alike)
 
 
-def _white_residual(
-    fringe: Fringe, stack: Samples, saturation: int | None
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Level, and sum of squares of the white part of the fringe fit's residual, where lit."""
-    samples = stack.astype(np.float64)
-    parameters = np.tensordot(fringe.fit.solution, samples, axes=1)
-    residual = samples - np.tensordot(fringe.fit.design, parameters, axes=1)
-    squares = (_second_differences(residual) ** 2).sum(axis=0)
-    level, modulation = parameters[0, :, 1:-1], np.hypot(parameters[1], parameters[2])[:, 1:-1]
-    total = (residual[:, :, 1:-1] ** 2).sum(axis=0)
-    lit = modulation > 2 * np.sqrt(total / (fringe.steps - 3))
-    lit &= _unsaturated(stack, saturation)
-    return level[lit], squares[lit]
+def _fit(fringe: Fringe, samples: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(3, rows, cols) fit of A, c and s."""
+    return np.tensordot(fringe.fit.solution, samples, axes=1)
+
+
+def _white_residuals(
+    fringes: Sequence[tuple[Fringe, Samples]], saturation: int | None, lag: int
+) -> _Squares:
+    """Level, and sum of squares of the white part of what the fits of fringes leave, where lit."""
+    levels, squares = [], []
+    for fringe, stack in fringes:
+        samples = stack.astype(np.float64)
+        parameters = _fit(fringe, samples)
+        residual = samples - np.tensordot(fringe.fit.design, parameters, axes=1)
+        phasor = parameters[1] + 1j * parameters[2]
+        modulation = np.abs(phasor)
+        below = _unsaturated(stack, saturation, 0)
+        residual -= steep_harmonics(
+            residual, phasor, light=modulation, use=below, orders=range(2, 7)
+        )
+        total = (residual**2).sum(axis=0)
+        lit = modulation > 2 * np.sqrt(total / (fringe.steps - 3))
+        lit = lit[:, lag : lit.shape[1] - lag] & _unsaturated(stack, saturation, lag)
+        levels.append(_inner(parameters[0], lag)[lit])
+        squares.append((_white(residual, lag) ** 2).sum(axis=0)[lit])
+    return np.concatenate(levels), np.concatenate(squares)
+
+
+def _plain_mean(fringe: Fringe, stack: Samples, saturation: int | None) -> NDArray[np.float64]:
+    """Mean level of a fringe of three steps, without the harmonics that three steps fold onto it.
+
+    They make the modulation ripple, so that it is the level that tells how much light there is.
+    """
+    mean, c, s = _fit(fringe, stack.astype(np.float64))
+    light = ndimage.uniform_filter1d(mean, _LEVEL_PX, axis=1)
+    orders = fringe.steps * np.arange(1, 5)
+    below = _unsaturated(stack, saturation, 0)
+    phasor = c + 1j * s
+    return (
+        mean - steep_harmonics(mean[np.newaxis], phasor, light=light, use=below, orders=orders)[0]
+    )
 
 
 def _white_disagreement(
-    stacks: Sequence[Samples], saturation: int | None
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Level, and sum of squares of what the means of several fringes disagree by, per sample."""
-    steps = len(stacks[0])
-    same = [stack for stack in stacks if len(stack) == steps]
-    means = np.stack([stack.mean(axis=0, dtype=np.float64) for stack in same])
-    # Means of whole numbers are multiples of 1/steps, and medians of them would be too.
-    means += np.random.default_rng(0).uniform(-0.5, 0.5, means.shape) / steps
-    level = means.mean(axis=0)
-    squares = steps * (_second_differences(means - level) ** 2).sum(axis=0)
-    good = np.logical_and.reduce([_unsaturated(stack, saturation) for stack in same])
-    return level[:, 1:-1][good], squares[good]
+    fringes: Sequence[tuple[Fringe, Samples]], saturation: int | None, lag: int
+) -> _Squares:
+    """Level, and sum of squares of what the means of fringes disagree by, per sample."""
+    steps = fringes[0][0].steps
+    random = np.random.default_rng(0)
+    means = []
+    for fringe, stack in fringes:
+        mean = _plain_mean(fringe, stack, saturation)
+        # Means of whole numbers are multiples of 1/steps, and medians of them would be too.
+        means.append(mean + random.uniform(-0.5, 0.5, mean.shape) / steps)
+    level = np.mean(means, axis=0)
+    squares = steps * (_white(np.stack(means) - level, lag) ** 2).sum(axis=0)
+    good = np.logical_and.reduce([_unsaturated(stack, saturation, lag) for _, stack in fringes])
+    return _inner(level, lag)[good], squares[good]
+
+
+def _white_means(
+    fringe_and_stack: tuple[Fringe, Samples], saturation: int | None, lag: int
+) -> _Squares:
+    """Level, and square of what the mean of a fringe and its neighbours differ by, per sample."""
+    fringe, stack = fringe_and_stack
+    if lag == 0 or stack.shape[2] <= 2 * lag:
+        # A level by itself tells nothing of its noise.
+        return np.zeros(0), np.zeros(0)
+    good = _unsaturated(stack, saturation, lag)
+    mean = _plain_mean(fringe, stack, saturation)
+    # A pixel's own level holds the noise that it is asked for.
+    level = ndimage.uniform_filter1d(mean, _LEVEL_PX, axis=1)
+    share = float((fringe.fit.solution[0] ** 2).sum())
+    squares = (_white(mean, lag) ** 2 / share)[good]
+    if lag == 1 and good.any():
+        # Neighbours of a mosaic differ in colour; then every second pixel tells less.
+        farther = _white_means(fringe_and_stack, saturation, 2)
+        if len(farther[1]) > _ENOUGH and np.median(farther[1]) < np.median(squares):
+            return farther
+    return _inner(level, lag)[good], squares
