@@ -27,6 +27,7 @@ from acquisition.harmonics import error_orders, series_of_coarse
 from acquisition.rejection_kernels import subtract_series
 from acquisition.unwrapping import certainty_sigmas
 
+_SAME = 1e-6
 _NO_COORDINATE, _NO_MODULATION = np.empty(0, np.float64), np.empty(0, np.float32)
 
 
@@ -97,6 +98,12 @@ class FringeDecoder:
             phase.
         """
         coarsest = groups[0][0]
+        if code is not None and code.step_px > (1 + _SAME) * coarsest.period_px:
+            raise DecodingError(
+                f"the Gray code of the {coarsest.axis}s has cells of {code.step_px:g} px, which do "
+                f"not tell the orders of fringes of {coarsest.period_px:g} px; cells of half a "
+                "period are best"
+            )
         if code is None and coarsest.period_px < extent - 1:
             raise DecodingError(
                 f"nothing tells the fringe order of the {coarsest.axis}s: the longest period is "
@@ -148,7 +155,7 @@ class FringeDecoder:
             model, sampled, report = self.sampler.model(group[0], lines)
             step = self._step(group[0], coarse, extent, sampled, state)
             parts = (folded.frames, folded.weights, folded.reference, folded.sums)
-            advance(*parts, model, self.sampler.sample_model(), step, state)
+            advance(*parts, model, self.sampler.sample_model(group[0]), step, state)
             return report
         fitted, report = self._fit_exposures(group)
         if by_level and isinstance(coarse, GrayCode):
@@ -171,7 +178,7 @@ class FringeDecoder:
         for folded, lines in coming:
             fringe = folded.fringe
             model, _, latest = self.sampler.model(fringe, lines)
-            fitted = fit_folded(folded, model, self.sampler.sample_model())
+            fitted = fit_folded(folded, model, self.sampler.sample_model(fringe))
             if joined is None:
                 joined, report = fitted, latest
                 continue
@@ -205,8 +212,9 @@ class FringeDecoder:
         half_width, reach, mixed, systematic = period / 2, *[float("inf")] * 3
         if isinstance(coarse, GrayCode):
             # Half a cell, and room for blurred edges and harmonics, but less than half a period, at
-            # which nothing would contradict anything.
-            half_width = min(0.5 * coarse.step_px + period / 8, 0.45 * period)
+            # which nothing would contradict anything. Cells of a period leave it to the neighbours.
+            if coarse.step_px < 0.75 * period:
+                half_width = min(0.5 * coarse.step_px + period / 8, 0.45 * period)
             reach = max(period / 2 - coarse.step_px / 2, period / 8)
         elif coarse is not None:
             if self.sampler.options.compensate_harmonics:

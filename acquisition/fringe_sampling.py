@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from acquisition.correspondence import PhaseHarmonic, Rejection
 from acquisition.decoding_options import DecodingOptions
+from acquisition.errors import DecodingError
 from acquisition.frame_files import Samples
 from acquisition.frame_stream import FrameStream
 from acquisition.fringe_fit import (
@@ -27,10 +28,11 @@ from acquisition.fringe_fit import (
     model_fringe,
 )
 from acquisition.fringe_models import FringeModel, SampleModel
-from acquisition.fringe_statistics import residual_harmonics, squares_limit
+from acquisition.fringe_statistics import residual_harmonics, squares_limit, steps_contradict
 from acquisition.fringes import Fringe
 from acquisition.gray_decoding import sample_rows
 from acquisition.harmonics import error_orders, held_out_residual, series_along_lines
+from acquisition.patterns import Axis
 from acquisition.sample_noise import SampleNoise, estimate_noise
 
 # Fringes whose frames may be looked at before their turn, to tell the noise of three steps.
@@ -127,8 +129,11 @@ class FringeSampler:
         pictures = planes.reshape(*planes.shape[:-1], *self.stream.shape)
         return pictures[..., self._rows, :: self._every].reshape(*planes.shape[:-1], -1)
 
-    def sample_model(self) -> SampleModel:
-        """Noise and limits of a sample, as the kernels take them."""
+    def sample_model(self, fringe: Fringe) -> SampleModel:
+        """Noise and limits of a sample of a fringe, as the kernels take them.
+
+        Of steps that are not spread evenly, more contrast is asked.
+        """
         assert self.noise is not None  # told by the first fringe
         least = self.options.minimum_modulation
         contrast = self.options.minimum_contrast if least is None else 0.0
@@ -137,7 +142,7 @@ class FringeSampler:
             np.float32(self.noise.gain),
             np.float32(self.stream.plan.saturation_level),
             np.float32(least or 0.0),
-            np.float32(contrast),
+            np.float32(contrast * fringe.fit.excess),
         )
 
     def model(self, fringe: Fringe, lines: Lines) -> tuple[FringeModel, FittedFringe, FringeReport]:
@@ -149,7 +154,7 @@ class FringeSampler:
         harmonics: tuple[PhaseHarmonic, ...] = ()
         if lines.columns is not None:
             correction, harmonics = self._harmonics(fringe, lines)
-        sample, freedom = self.sample_model(), fringe.steps - 3
+        sample, freedom = self.sample_model(fringe), fringe.steps - 3
         few = lines.rows[:, :, :: self._every]
         limit = squares_limit(fringe, self.alarm)
         model = model_fringe(fringe, squares_limit=limit, correction=correction)
@@ -162,6 +167,15 @@ class FringeSampler:
             self.noise.variance(sampled.ambient[good]),
             degrees_of_freedom=freedom,
         )
+        panel = self.stream.plan.projector
+        extent = panel.width if fringe.axis is Axis.COLUMN else panel.height
+        if steps_contradict(fringe, few.reshape(fringe.steps, -1)[:, good], residual, extent):
+            raise DecodingError(
+                f"the {fringe.steps} frames of the {fringe.axis} fringe of period "
+                f"{fringe.period_px:g} px ({', '.join(fringe.frame_ids)}) are not the steps of one "
+                "fringe: they were taken for one another, or one is dark; check their order and "
+                "the shifts"
+            )
         model = model._replace(harmonics=np.float32(residual))
         lit = squares < modulation**2 * max(1, freedom) / 4
         rms = float("nan")
@@ -223,7 +237,7 @@ class FringeSampler:
     def _harmonics_of(
         self, fringe: Fringe, lines: Lines
     ) -> tuple[NDArray[np.float32], tuple[PhaseHarmonic, ...]] | None:
-        sample = self.sample_model()
+        sample = self.sample_model(fringe)
         bare = model_fringe(fringe)._replace(origin_turns=np.float32(0.0))
         phases: list[NDArray[np.floating]] = []
         good: list[NDArray[np.bool_]] = []

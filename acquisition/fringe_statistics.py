@@ -7,6 +7,9 @@ phase where the tail is longest. Harmonics of the projector's response leave a r
 proportion to the modulation, the same all over the picture: its size is read off the median pixel,
 and added. A pixel beyond both is lit by more than one fringe.
 
+*Steps that contradict one another.* Harmonic h leaves a residual of order h in the phase. Frames
+out of order, or one that is dark, leave one of orders 0 and 1, or more than any harmonics do.
+
 *Disagreement of two fringes.* Noise has a known spread; harmonics of either fringe and errors of
 the description shift the coarse coordinate systematically and by a bounded amount, read off the
 median deviation. For a sinusoid the amplitude is √2 times the standard deviation.
@@ -20,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from acquisition.frame_files import Samples
 from acquisition.fringes import Fringe
 from acquisition.unwrapping import certainty_sigmas
 
@@ -31,6 +35,13 @@ _THREE_STEPS_MARGIN = 1.1
 # What float32 leaves of a squared modulation.
 _ROUNDING = 4e-6
 _LEAST_PIXELS = 50
+# Mean squares of a residual, per step and in squared modulations, that harmonics do not leave (a
+# response to the power of three leaves 0.08), and from which the order is looked at.
+_LARGEST_RESIDUAL = 0.12
+_SUSPECT_RESIDUAL = 0.005
+_PHASE_BINS = 16
+_MANY_PERIODS = 8
+_LEAST_OF_A_BIN = 8
 MEDIAN_TO_SIGMA = 1.4826
 
 
@@ -92,6 +103,47 @@ def residual_harmonics(
     excess = squares - _median_of_chi_square(degrees_of_freedom) * noise_variance
     typical = max(0.0, _middle(excess / modulation**2))
     return float(np.sqrt(2 * typical + _ROUNDING))
+
+
+def steps_contradict(fringe: Fringe, samples: Samples, residual: float, extent: int) -> bool:
+    """Whether the frames of a fringe are not the steps that they are taken for.
+
+    Parameters
+    ----------
+    fringe : Fringe
+    samples : (steps, n) array
+        Of pixels in good light.
+    residual : float
+        From :func:`residual_harmonics`.
+    extent : int
+        Pixels of the panel along the fringe's axis.
+    """
+    typical = residual**2 / 2 / fringe.steps
+    if typical < _SUSPECT_RESIDUAL or samples.shape[1] < _LEAST_PIXELS:
+        return False
+    if typical > _LARGEST_RESIDUAL:
+        return True
+    level, c, s = fringe.fit.solution @ samples
+    left = (samples - fringe.fit.design @ np.stack([level, c, s])) / np.hypot(c, s)
+    place = (np.arctan2(s, c) / (2 * np.pi) % 1 * _PHASE_BINS).astype(np.intp) % _PHASE_BINS
+    count = np.bincount(place, minlength=_PHASE_BINS)
+    met = count >= _LEAST_OF_A_BIN
+    if met.sum() < _PHASE_BINS / 2:
+        # Over a small part of the period one order passes for another. Of a fringe of which the
+        # panel shows many a part would not be seen alone.
+        return fringe.period_px < extent / _MANY_PERIODS
+    by_phase = np.stack([np.bincount(place, row, _PHASE_BINS)[met] / count[met] for row in left])
+    angle = 2 * np.pi * (np.flatnonzero(met) + 0.5) / _PHASE_BINS
+    of_steps = _unexplained(by_phase.T, [np.ones(len(angle)), np.cos(angle), np.sin(angle)])
+    of_harmonics = [wave(order * angle) for order in (2, 3) for wave in (np.cos, np.sin)]
+    return of_steps < 0.5 * _unexplained(by_phase.T, of_harmonics)
+
+
+def _unexplained(observed: NDArray[np.float64], terms: list[NDArray[np.float64]]) -> float:
+    """Sum of squares that least squares leaves."""
+    design = np.stack(terms, axis=1)
+    solution = np.linalg.lstsq(design, observed, rcond=None)[0]
+    return float(((observed - design @ solution) ** 2).sum())
 
 
 def disagreement_limit(fringe: Fringe, false_alarm: float) -> float:

@@ -18,6 +18,8 @@ from acquisition.patterns import Axis, PhaseShift
 from acquisition.plan import Plan
 
 STEPS_AT_ONCE = 4
+# Steps crowded together so much that noise counts this many times over determine no phase.
+_LARGEST_EXCESS = 30.0
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ class Fringe:
             raise DecodingError(
                 f"the {self.axis} fringe of period {self.period_px:g} px has "
                 f"{self.steps} steps that do not determine a phase; three distinct "
-                "shifts are the least"
+                "shifts, spread over the period, are the least"
             )
         return fit
 
@@ -95,6 +97,9 @@ class StepFit:
         Whether the phase's variance is the same at every phase, whatever the light.
     gram : (3, 3) float32 array
         The quadratic form of (A, c, s) that the samples' squares hold.
+    excess : float
+        Standard deviation of (c, s), in the direction where it is largest, over that of steps
+        spread evenly.
     """
 
     design: NDArray[np.float64]
@@ -103,6 +108,7 @@ class StepFit:
     variance_moments: NDArray[np.float32]
     isotropic: bool
     gram: NDArray[np.float32]
+    excess: float
 
 
 @lru_cache(maxsize=64)
@@ -113,6 +119,10 @@ def _fit_of(shifts: tuple[float, ...]) -> StepFit | None:
     if len(shifts) < 3 or np.linalg.matrix_rank(design, tol=1e-6) < 3:
         return None
     solution = np.linalg.pinv(design)
+    spread = np.linalg.eigvalsh(solution[1:] @ solution[1:].T)[-1] * len(shifts) / 2
+    excess = float(np.sqrt(spread))
+    if excess > _LARGEST_EXCESS:
+        return None
     groups = -(-len(shifts) // STEPS_AT_ONCE)
     padded = np.zeros((3, groups * STEPS_AT_ONCE))
     padded[:, : len(shifts)] = solution
@@ -129,6 +139,7 @@ def _fit_of(shifts: tuple[float, ...]) -> StepFit | None:
         np.ascontiguousarray(moments, np.float32),
         bool(np.abs(moments - even).max() <= 1e-6 * moments[0, 0]),
         np.ascontiguousarray(design.T @ design, np.float32),
+        excess,
     )
 
 

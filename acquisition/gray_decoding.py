@@ -7,6 +7,7 @@ the pixel's cell, its variance that of a uniform distribution over the cell.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -74,7 +75,7 @@ def find_gray_code(plan: Plan, axis: Axis) -> GrayCode | None:
     Raises
     ------
     DecodingError
-        Several codes of one axis, or bits that are missing.
+        Several codes of one axis, bits that are missing, or too few to number the panel's cells.
     """
     bits: dict[int, list[PlannedFrame]] = {}
     inverses: dict[int, list[PlannedFrame]] = {}
@@ -92,6 +93,14 @@ def find_gray_code(plan: Plan, axis: Axis) -> GrayCode | None:
     missing = sorted(set(range(length)) - set(bits))
     if missing:
         raise DecodingError(f"bits {missing} of the Gray code of the {axis}s are missing")
+    panel = plan.projector.width if axis is Axis.COLUMN else plan.projector.height
+    first, last = math.floor(offset), math.floor((panel - 1) / step_px + offset)
+    if last - first >= 2**length:
+        raise DecodingError(
+            f"the {length} bits of the {axis}s' Gray code number {2**length} cells of {step_px:g} "
+            f"px, and the panel has {last - first + 1}: different places show the same code; add "
+            "bits, or check the width of a cell and the size of the panel"
+        )
     return GrayCode(axis, length, step_px, offset, bits, inverses)
 
 

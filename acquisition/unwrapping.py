@@ -238,18 +238,31 @@ def _find_components(
 
 
 def _usual_slope(coordinate: NDArray[np.float64]) -> float:
-    """How much a coordinate may change from a pixel to the next without being a jump."""
-    rows, columns = (len(lines) // _SAMPLED_LINES + 1 for lines in (coordinate, coordinate.T))
-    pairs = (
-        (coordinate[::rows, 1::columns], coordinate[::rows, :-1:columns]),
-        (coordinate[1::rows, ::columns], coordinate[:-1:rows, ::columns]),
-    )
-    medians = []
-    for after, before in pairs:
-        steps = np.abs(after - before)
+    """How much a coordinate may change from a pixel to the next without being a jump.
+
+    Infinite where no pixel has a neighbour to compare it with.
+    """
+    pictures = (coordinate, coordinate.T)
+    medians = [_median_step(lines[:: _spread(len(lines))]) for lines in pictures]
+    there = [median for median in medians if np.isfinite(median)]
+    return _SLOPE_ALLOWANCE * max(there, default=float("inf"))
+
+
+def _median_step(lines: NDArray[np.float64]) -> float:
+    """Median change from pixel to pixel along lines; NaN where no two are within two pixels."""
+    # Of a mosaic with one colour saturated every second pixel is left.
+    for apart in (1, 2):
+        every = _spread(lines.shape[1])
+        steps = np.abs(lines[:, apart::every] - lines[:, :-apart:every])
         there = steps[np.isfinite(steps)]
-        medians.append(float(np.median(there)) if len(there) else 0.0)
-    return _SLOPE_ALLOWANCE * max(medians)
+        if len(there):
+            return float(np.median(there)) / apart
+    return float("nan")
+
+
+def _spread(count: int) -> int:
+    """Stride that takes some of many lines, odd so that it does not keep to one of a mosaic's."""
+    return (count // _SAMPLED_LINES + 1) | 1
 
 
 def _reach(slopes: NDArray[np.float64], halves: tuple[float, float]) -> int:
