@@ -205,6 +205,8 @@ def read_description(path: Path) -> CaptureDescription:
         content = tomllib.loads(Path(path).read_text())
     except OSError as error:
         raise CaptureError(f"{path}: {error.strerror}") from None
+    except RecursionError:
+        raise CaptureError(f"{path}: not TOML (brackets in brackets)") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise CaptureError(f"{path}: not TOML ({error})") from None
     try:

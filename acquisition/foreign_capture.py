@@ -56,7 +56,14 @@ def find_capture(folder: Path, description: CaptureDescription) -> ForeignCaptur
     folder = Path(folder)
     if not folder.is_dir():
         raise CaptureError(f"{folder}: no such folder of captured files")
-    patterns = _patterns(description)
+    try:
+        patterns = _patterns(description)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(map(str, first["loc"]))
+        raise CaptureError(
+            f"{folder}: the capture's description makes patterns of no use ({key}: {first['msg']})"
+        ) from None
     missing = [name for _, name in patterns if not (folder / name).is_file()]
     if missing:
         raise CaptureError(

@@ -93,6 +93,7 @@ def test_bad_files_are_named_and_leave_no_finished_session(capture, damage, mess
         ("crop = {", 'crop = { file = "crop.json",', "crop: .*either column and row, or file"),
         ('"b.png"', '"a.png"', "a.png: one file cannot be two patterns"),
         ("periods = 1", "periods = inf", "phase_shift.0.periods"),
+        ("periods = 1", "periods = 1e-320", "patterns of no use .period_px"),
         ("periods = 1", "periods = 1\norigin_rad = nan", "phase_shift.0.origin_rad"),
         ("periods = 1", "periods = 1\nshifts_rad = [0, 1]", "3 files but 2 shifts_rad"),
         (', "c.png"', "", "phase_shift.0.files"),
@@ -107,6 +108,12 @@ def test_bad_files_are_named_and_leave_no_finished_session(capture, damage, mess
 def test_bad_descriptions_name_the_key(capture, old, new, message):
     (capture / "capture.toml").write_text(DESCRIPTION.replace(old, new, 1))
     with pytest.raises(CaptureError, match=message):
+        bring_in(capture)
+
+
+def test_a_description_nested_without_end_is_refused(capture):
+    (capture / "capture.toml").write_text(f"name = {'[' * 5000}")
+    with pytest.raises(CaptureError, match="brackets in brackets"):
         bring_in(capture)
 
 

@@ -18,6 +18,7 @@ class Benchmark(StrEnum):
     CALIBRATE = "calibrate"
     REFLECTANCE = "reflectance"
     DEMO = "demo"
+    STRESS = "stress"
 
 
 def register(app: typer.Typer) -> None:

@@ -1,0 +1,265 @@
+"""Good files of every kind that Impasto reads, small, and how each is read."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from acquisition.capture_description import read_description
+from acquisition.errors import SessionError
+from acquisition.foreign_capture import find_capture, record_capture
+from acquisition.journal import AnyEvent, FrameRecorded, append_event, read_journal
+from acquisition.session import JOURNAL_FILE, MANIFEST_FILE, Session, manifest_text
+from calibration.opencv_files import read_rig_geometry, write_matrices
+from calibration.rig_geometry import RigGeometry
+from devices.rig_file import read_rig_file
+from devices.simulated.rig import demo_rig
+from fitting.copy_files import read_copy, write_copy
+from fitting.digital_copy import DigitalCopy, ReflectanceMaps
+from workstation.benchmarks.fuzzing import Target, fingerprint
+from workstation.demonstration import record_simulated_scan
+from workstation.processing import process_session
+
+_CAMERA_WIDTH = 96
+_CAPTURE_TOML = "capture.toml"
+_CALIBRATION_FILE = "calibration.yml"
+_RIG_FILE = "rig.toml"
+_RIG = """
+[camera]
+driver = "simulated"
+
+[projector]
+driver = "dlpc350"
+source = "video"
+
+[projector.screen]
+driver = "hdmi"
+screen = "HDMI-1"
+width = 912
+height = 1140
+latency_s = 0.05
+
+[arm]
+driver = "grbl"
+port = "/dev/ttyUSB0"
+azimuth_deg = [0, 350]
+elevation_deg = [15, 85]
+lamp = "spindle"
+lamp_settle_s = 0.5
+
+[mount]
+driver = "manual"
+positions = ["front", "left", "right"]
+
+[simulation]
+painting = "oil"
+seed = 3
+camera_width = 96
+"""
+_CAPTURE = """
+name = "a small capture"
+camera = {{ width = {width}, height = {height} }}
+projector = {{ width = 64, height = 48 }}
+saturation_level = 255
+
+[[phase_shift]]
+axis = "column"
+periods = 4
+files = {{ pattern = "##.png", first = 0, last = 3 }}
+
+[[gray]]
+axis = "column"
+step_px = 16
+threshold = "phase-shift mean"
+files = ["04.png", "05.png"]
+
+[calibration]
+file = "calibration.yml"
+camera_matrix = "Kc"
+camera_distortion = "dc"
+projector_matrix = "Kp"
+projector_distortion = "dp"
+rotation = "R"
+translation = "t"
+pose = "camera to projector"
+"""
+
+
+def make_targets(place: Path) -> tuple[Target, ...]:
+    """Write good files of every kind below a folder.
+
+    Parameters
+    ----------
+    place : Path
+        An empty folder.
+
+    Returns
+    -------
+    tuple of Target
+    """
+    session = place / "session"
+    record_simulated_scan(demo_rig(camera_width=_CAMERA_WIDTH), session)
+    copy = process_session(session).copy
+    write_copy(replace(copy, reflectance=_reflectance(copy)), place / "copy")
+    _write_capture(place / "capture", width=24, height=18)
+    (place / "rig").mkdir()
+    (place / "rig" / _RIG_FILE).write_text(_RIG)
+    return (
+        Target("session as recorded", session, _read_session, sealed=True),
+        Target("session resealed", session, _process_session, mend=reseal),
+        Target("rig.toml", place / "rig", _read_rig),
+        Target("capture.toml", place / "capture", _import_capture),
+        Target(
+            "camera models",
+            session,
+            _read_models,
+            files=("calibration/*",),
+        ),
+        Target("OpenCV calibration", place / "capture", _read_opencv, files=(_CALIBRATION_FILE,)),
+        Target("copy", place / "copy", _read_copy),
+    )
+
+
+def reseal(folder: Path) -> None:
+    """Write journal and manifest of a damaged session anew, so that its checksums fit."""
+    journal = folder / JOURNAL_FILE
+    try:
+        events = read_journal(journal)
+    except SessionError:
+        events = _bare_events(journal)
+    journal.unlink(missing_ok=True)
+    written: list[AnyEvent] = []
+    for event in events:
+        if isinstance(event, FrameRecorded) and (folder / event.file).is_file():
+            content = (folder / event.file).read_bytes()
+            event = event.model_copy(update={"sha256": hashlib.sha256(content).hexdigest()})
+        append_event(journal, event)
+        written.append(event)
+    recorded = [event for event in written if isinstance(event, FrameRecorded)]
+    (folder / MANIFEST_FILE).write_text(manifest_text(folder, recorded))
+
+
+def _bare_events(journal: Path) -> list[AnyEvent]:
+    """Events of a journal whose seals do not fit, those left out that are none."""
+    if not journal.is_file():
+        return []
+    bare = re.sub(rb',"seal":"[0-9a-f]{8}"\}', b"}", journal.read_bytes())
+    events: list[AnyEvent] = []
+    line_file = journal.with_suffix(".line")
+    for line in bare.splitlines():
+        line_file.write_bytes(line + b"\n")
+        try:
+            events += read_journal(line_file)
+        except SessionError:
+            continue
+    line_file.unlink(missing_ok=True)
+    return events
+
+
+def _read_session(folder: Path) -> bytes:
+    session = Session.open(folder)
+    frames = [session.read_frame(frame.id).tobytes() for frame in session.frames]
+    events = [event.model_dump_json().encode() for event in session.recorded.values()]
+    models = [_read_models(folder)] if session.calibration_folder else []
+    return fingerprint(session.plan.model_dump_json().encode(), *events, *frames, *models)
+
+
+def _process_session(folder: Path) -> bytes:
+    return _of_copy(process_session(folder).copy)
+
+
+def _read_models(folder: Path) -> bytes:
+    rig = RigGeometry.load(folder / "calibration")
+    covariance = b"" if rig.covariance is None else rig.covariance.tobytes()
+    sizes = [rig.camera.width, rig.camera.height, rig.projector.width, rig.projector.height]
+    models = f"{rig.camera.model} {rig.projector.model} {sizes}".encode()
+    return fingerprint(rig.parameters.tobytes(), covariance, models)
+
+
+def _read_rig(folder: Path) -> bytes:
+    rig = read_rig_file(folder / _RIG_FILE)
+    settings = {str(kind): device.model_dump() for kind, device in rig.devices.items()}
+    return fingerprint(repr(settings).encode(), repr(rig.simulation).encode())
+
+
+def _import_capture(folder: Path) -> bytes:
+    description = read_description(folder / _CAPTURE_TOML)
+    capture = find_capture(folder, description)
+    out = folder.parent / "imported"
+    shutil.rmtree(out, ignore_errors=True)
+    try:
+        record_capture(capture, out)
+        session = Session.open(out)
+        frames = [session.read_frame(frame.id).tobytes() for frame in session.frames]
+        return fingerprint(session.plan.model_dump_json().encode(), *frames)
+    finally:
+        shutil.rmtree(out, ignore_errors=True)
+
+
+def _read_opencv(folder: Path) -> bytes:
+    description = read_description(folder / _CAPTURE_TOML)
+    assert description.calibration is not None
+    rig = read_rig_geometry(
+        folder / description.calibration.file,
+        description.calibration,
+        camera=description.camera,
+        projector=description.projector,
+    )
+    return fingerprint(rig.parameters.tobytes())
+
+
+def _read_copy(folder: Path) -> bytes:
+    return _of_copy(read_copy(folder))
+
+
+def _of_copy(copy: DigitalCopy) -> bytes:
+    """Fingerprint of a copy; what is measured in it must be finite."""
+    heights = copy.height_field
+    arrays = [np.where(heights.mask, heights.height, 0), copy.normal_xy[heights.mask]]
+    if copy.reflectance is not None:
+        maps = copy.reflectance
+        arrays += [m[heights.mask] for m in (maps.diffuse, maps.specular, maps.lobe)]
+    if not all(np.isfinite(array).all() for array in arrays):
+        raise AssertionError("a copy was read that is not finite where it was measured")
+    arrays.append(heights.mask)
+    return fingerprint(
+        *(np.ascontiguousarray(array).tobytes() for array in arrays),
+        repr((heights.pitch_mm, heights.origin_mm, copy.relief.delta0_mm)).encode(),
+        json.dumps(copy.relief.boxes.corner.tolist()).encode(),
+    )
+
+
+def _reflectance(copy: DigitalCopy) -> ReflectanceMaps:
+    shape = copy.height_field.shape
+    lobe = np.broadcast_to(np.array([-1.0, -1.0, 1.1, 20.0], np.float32), (*shape, 4))
+    diffuse = np.full((*shape, 3), 0.2, np.float32)
+    return ReflectanceMaps(diffuse, np.full((*shape, 3), 0.1, np.float32), lobe.copy())
+
+
+def _write_capture(folder: Path, *, width: int, height: int) -> None:
+    folder.mkdir()
+    (folder / _CAPTURE_TOML).write_text(_CAPTURE.format(width=width, height=height))
+    x = np.arange(width) * 64 / width
+    for step in range(4):
+        level = 120 + 80 * np.cos(2 * np.pi * (x / 16 + step / 4))
+        _write_rows(folder / f"{step:02d}.png", level, height)
+    cell = (x // 16).astype(int)
+    code = cell ^ (cell >> 1)
+    for bit, name in ((1, "04.png"), (0, "05.png")):
+        _write_rows(folder / name, 40.0 + 160 * ((code >> bit) & 1), height)
+    lens = np.array([[30.0, 0, width / 2], [0, 30, height / 2], [0, 0, 1]])
+    panel = np.array([[80.0, 0, 32], [0, 80, 24], [0, 0, 1]])
+    matrices = {"Kc": lens, "dc": np.zeros((1, 5)), "Kp": panel, "dp": np.zeros((1, 5))}
+    pose = {"R": np.eye(3), "t": np.array([[-100.0], [0], [0]])}
+    write_matrices(folder / _CALIBRATION_FILE, matrices | pose)
+
+
+def _write_rows(file: Path, level: np.ndarray, height: int) -> None:
+    cv2.imwrite(str(file), np.tile(level.astype(np.uint8), (height, 1)))
