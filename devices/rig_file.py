@@ -27,8 +27,8 @@ from devices.settings import DriverSettings
 from devices.toml_lines import Key, key_lines, line_of
 
 SIMULATION = "simulation"
-# No rig needs more; what is larger, or endless, is something else.
-_LARGEST_BYTES = 1 << 18
+# No rig needs more; what is larger, or endless, is something else, and could take minutes to read.
+_LARGEST_BYTES = 1 << 15
 
 
 class SimulatedDevice(DriverSettings):
