@@ -14,6 +14,7 @@ from render.opengl import GL, HeadlessContext, OpenGLError, pyrender
 from render.painting_maps import PaintingMaterial
 from render.painting_node import Mode, painting_mesh
 from render.painting_renderer import PaintingRenderer
+from render.shader_program import Shown
 from render.views import View, direction
 
 BACKGROUND = (0.18, 0.18, 0.18)
@@ -176,6 +177,66 @@ class Painter:
             fine[..., 3].astype(np.float32),
             np.ascontiguousarray(depth[n // 2 :: n, n // 2 :: n]),
         )
+
+    def points(
+        self,
+        copy: DigitalCopy,
+        view: View,
+        *,
+        mode: Mode,
+        width: int,
+        height: int,
+        adaptive: AdaptiveOptions | None = None,
+    ) -> NDArray[np.float32]:
+        """Where a mode has the surface: canvas frame, mm; NaN where nothing is.
+
+        Of a plane it is the plane's point, of a blended box the mixture.
+
+        Returns
+        -------
+        (rows, cols, 3) float32 array
+            At the middle of each pixel.
+        """
+        shown = self._shown(Shown.POINT, copy, view, mode, width, height, adaptive)
+        return np.where(shown[..., 3:] > 0, shown[..., :3], np.float32(np.nan))
+
+    def work(
+        self,
+        copy: DigitalCopy,
+        view: View,
+        *,
+        mode: Mode,
+        width: int,
+        height: int,
+        adaptive: AdaptiveOptions | None = None,
+    ) -> NDArray[np.float32]:
+        """Steps of the searches and number of fragments in each pixel, (rows, cols, 2).
+
+        All fragments are counted that could be drawn, the hidden ones among them.
+        """
+        return self._shown(Shown.WORK, copy, view, mode, width, height, adaptive)[..., :2]
+
+    def _shown(
+        self,
+        shown: Shown,
+        copy: DigitalCopy,
+        view: View,
+        mode: Mode,
+        width: int,
+        height: int,
+        adaptive: AdaptiveOptions | None,
+    ) -> NDArray[np.float32]:
+        self._refuse_size(width, height)
+        mesh = self._kept_mesh(copy, mode, adaptive)
+        scene = painting_scene(copy, mesh, view, Light(), width / height)
+        scene.bg_color = np.zeros(4)
+        self._renderer.viewport_width, self._renderer.viewport_height = width, height
+        self._renderer.shown = shown
+        try:
+            rgba, _ = self._renderer.render(scene, pyrender.RenderFlags.OFFSCREEN)
+        finally:
+            self._renderer.shown = Shown.RADIANCE
+        return np.asarray(rgba)
 
     def _refuse_size(self, width: int, height: int) -> None:
         self._context.make_current()

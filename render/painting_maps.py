@@ -2,45 +2,90 @@
 
 from __future__ import annotations
 
+from enum import Enum
+from functools import cached_property
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
 from fitting.digital_copy import DigitalCopy
 from render.errors import RenderError
+from render.height_pyramid import heights_with_gaps, min_max_pyramid
 from render.opengl import GL, pyrender
 
 LARGEST_SIDE = 16384
-_BY_CHANNELS = {3: (GL.GL_RGB32F, GL.GL_RGB), 4: (GL.GL_RGBA32F, GL.GL_RGBA)}
+_GIVEN = {1: GL.GL_RED, 2: GL.GL_RG, 3: GL.GL_RGB, 4: GL.GL_RGBA}
+_SINGLE = {1: GL.GL_R32F, 2: GL.GL_RG32F, 3: GL.GL_RGB32F, 4: GL.GL_RGBA32F}
+_HALF = {1: GL.GL_R16F, 2: GL.GL_RG16F, 3: GL.GL_RGB16F, 4: GL.GL_RGBA16F}
+
+
+class Sampling(Enum):
+    """How a texture is read between its texels and its levels."""
+
+    TEXELS = (GL.GL_NEAREST_MIPMAP_NEAREST, GL.GL_NEAREST)
+    SMOOTH = (GL.GL_LINEAR_MIPMAP_LINEAR, GL.GL_LINEAR)
 
 
 class FloatTexture(pyrender.Texture):
-    """A texture of 32-bit floats; pyrender's own wraps floats into bytes."""
+    """A texture of floats with its levels; pyrender's own wraps floats into bytes.
 
-    def __init__(self, name: str, values: NDArray[np.float32]) -> None:
+    Parameters
+    ----------
+    name : str
+    levels : list of (rows, cols, channels) arrays
+        Each half as large as the one before, rounded down.
+    half : bool
+        Whether it is kept in half precision.
+    sampling : Sampling
+    """
+
+    def __init__(
+        self,
+        name: str,
+        levels: list[NDArray[np.float32]],
+        *,
+        half: bool = False,
+        sampling: Sampling = Sampling.SMOOTH,
+    ) -> None:
         super().__init__(name=name, source_channels="RGBA", width=1, height=1)
-        self._values = np.ascontiguousarray(values, dtype=np.float32)
+        self._levels = [np.ascontiguousarray(level, dtype=np.float32) for level in levels]
+        self._half = half
+        self._sampling = sampling
 
     def _add_to_context(self) -> None:
-        rows, cols, channels = self._values.shape
+        rows, cols, channels = self._levels[0].shape
         largest = min(LARGEST_SIDE, int(GL.glGetIntegerv(GL.GL_MAX_TEXTURE_SIZE)))
         if max(rows, cols) > largest:
             raise RenderError(
                 f"the copy has {cols} × {rows} texels, this OpenGL draws at most {largest} a side; "
                 "process the session with a coarser --pitch"
             )
-        stored, given = _BY_CHANNELS[channels]
+        # PyOpenGL 3.1.0 cannot hand over half floats; the driver converts.
+        stored = (_HALF if self._half else _SINGLE)[channels]
         self._texid = GL.glGenTextures(1)
         GL.glBindTexture(GL.GL_TEXTURE_2D, self._texid)
         GL.glPixelStorei(GL.GL_UNPACK_ALIGNMENT, 4)
-        GL.glTexImage2D(
-            GL.GL_TEXTURE_2D, 0, stored, cols, rows, 0, given, GL.GL_FLOAT, self._values
-        )
+        for number, level in enumerate(self._levels):
+            height, width = level.shape[:2]
+            GL.glTexImage2D(
+                GL.GL_TEXTURE_2D,
+                number,
+                stored,
+                width,
+                height,
+                0,
+                _GIVEN[channels],
+                GL.GL_FLOAT,
+                level,
+            )
+        smaller, larger = self._sampling.value
         for parameter, value in (
-            (GL.GL_TEXTURE_MIN_FILTER, GL.GL_LINEAR),
-            (GL.GL_TEXTURE_MAG_FILTER, GL.GL_LINEAR),
+            (GL.GL_TEXTURE_MAX_LEVEL, len(self._levels) - 1),
+            (GL.GL_TEXTURE_MIN_FILTER, smaller),
+            (GL.GL_TEXTURE_MAG_FILTER, larger),
             (GL.GL_TEXTURE_WRAP_S, GL.GL_CLAMP_TO_EDGE),
             (GL.GL_TEXTURE_WRAP_T, GL.GL_CLAMP_TO_EDGE),
         ):
@@ -48,10 +93,14 @@ class FloatTexture(pyrender.Texture):
 
 
 class PaintingMaterial(pyrender.Material):
-    """The maps of a copy, and what else its shaders need."""
+    """The maps of a copy, and what else its shaders need.
+
+    Heights and normals are kept in single precision, reflectance in half: as it is on disk.
+    """
 
     def __init__(self, copy: DigitalCopy) -> None:
         super().__init__(name="painting", doubleSided=True)
+        self._copy = copy
         field = copy.height_field
         surface = np.dstack([field.height, copy.normal_xy])
         maps = {"relief_map": surface}
@@ -63,7 +112,10 @@ class PaintingMaterial(pyrender.Material):
             }
         maps = gaps_from_nearest(maps, field.mask)
         maps["relief_map"] = np.dstack([maps["relief_map"], field.mask.astype(np.float32)])
-        self.maps = {name: FloatTexture(name, values) for name, values in maps.items()}
+        self._shading_maps = {
+            name: FloatTexture(name, mipmaps(values), half=name != "relief_map")
+            for name, values in maps.items()
+        }
         half = 0.5 * field.pitch_mm
         self.uniforms: dict[str, Any] = {
             "has_reflectance": copy.reflectance is not None,
@@ -74,6 +126,26 @@ class PaintingMaterial(pyrender.Material):
             "texel": field.pitch_mm,
         }
 
+    @cached_property
+    def search_maps(self) -> dict[str, FloatTexture]:
+        """Maps that rays are searched through, made when the first mode asks for them."""
+        height = heights_with_gaps(self._copy.height_field)
+        pyramid = min_max_pyramid(height)
+        self.uniforms |= {
+            "cells": np.array([max(side - 1, 1) for side in height.shape[::-1]], np.int32),
+            "pyramid_top": len(pyramid) - 1,
+        }
+        return {
+            "height_map": FloatTexture("height_map", [height[..., np.newaxis]]),
+            "pyramid": FloatTexture("pyramid", pyramid, sampling=Sampling.TEXELS),
+        }
+
+    @property
+    def maps(self) -> dict[str, FloatTexture]:
+        """Every texture by the name it has in the shaders."""
+        searched = self.search_maps if "search_maps" in self.__dict__ else {}
+        return self._shading_maps | searched
+
     @property
     def textures(self) -> set[FloatTexture]:
         """Every texture, for pyrender to keep in its context."""
@@ -83,6 +155,17 @@ class PaintingMaterial(pyrender.Material):
     def is_transparent(self) -> bool:
         """Never: gaps are cut out, not blended."""
         return False
+
+
+def mipmaps(values: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+    """Levels of a map (rows, cols, channels): each the mean over areas of the one before."""
+    levels = [np.ascontiguousarray(values, dtype=np.float32)]
+    while max(levels[-1].shape[:2]) > 1:
+        rows, cols, channels = levels[-1].shape
+        size = (max(cols // 2, 1), max(rows // 2, 1))
+        smaller = cv2.resize(levels[-1], size, interpolation=cv2.INTER_AREA)
+        levels.append(smaller.astype(np.float32).reshape(size[1], size[0], channels))
+    return levels
 
 
 def gaps_from_nearest(
@@ -104,10 +187,5 @@ def gaps_from_nearest(
     """
     if mask.all():
         return dict(maps)
-    _, labels = cv2.distanceTransformWithLabels(
-        (~mask).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    texel_of_label = np.zeros(int(labels.max()) + 1, np.int64)
-    texel_of_label[labels[mask]] = np.flatnonzero(mask)
-    nearest = texel_of_label[labels]
-    return {name: values.reshape(mask.size, -1)[nearest] for name, values in maps.items()}
+    row, col = distance_transform_edt(~mask, return_distances=False, return_indices=True)
+    return {name: values[row, col] for name, values in maps.items()}

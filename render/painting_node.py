@@ -5,6 +5,8 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Any
 
+import numpy as np
+
 from fitting.digital_copy import DigitalCopy
 from render.adaptive import AdaptiveOptions
 from render.errors import RenderError
@@ -12,7 +14,7 @@ from render.opengl import GL, pyrender
 from render.painting_maps import PaintingMaterial
 from render.painting_primitive import PaintingPrimitive
 from render.relief_boxes import BoxesPrimitive
-from render.surface_shapes import bounds, box, plane, surface_triangles
+from render.surface_shapes import bounds, box, cell_bounds, has_triangle, plane, surface_triangles
 
 
 class Mode(StrEnum):
@@ -23,6 +25,7 @@ class Mode(StrEnum):
     RELIEF = "relief"
     HYBRID = "hybrid"
     ADAPTIVE = "adaptive"
+    EXACT = "exact"
 
 
 def painting_mesh(
@@ -52,19 +55,18 @@ def painting_mesh(
     Raises
     ------
     RenderError
-        :attr:`Mode.MESH` of a copy without three texels that make a triangle.
+        :attr:`Mode.MESH` or :attr:`Mode.EXACT` of a copy without three texels that make a triangle.
     """
     material = material or PaintingMaterial(copy)
     search: dict[str, Any] = {"linear_steps": 512, "binary_steps": 10}
     if mode is Mode.MESH:
         vertices, triangles = surface_triangles(copy)
         if not len(triangles):
-            raise RenderError(
-                f"the copy's {int(copy.height_field.mask.sum())} measured texels make no triangle; "
-                "draw it in another mode than mesh"
-            )
+            raise _no_triangle(copy, mode)
         shaders = ("plain.vert", "mesh.frag")
         parts = [PaintingPrimitive(vertices, triangles, material, shaders, culled=GL.GL_BACK)]
+    elif mode is Mode.EXACT:
+        parts = [_exact(copy, material)]
     elif mode is Mode.RELIEF:
         low, high = bounds(copy)
         corners, faces = box(low, high)
@@ -82,3 +84,29 @@ def painting_mesh(
             search |= {"solid_sides": True}
             parts.append(BoxesPrimitive(copy, material, uniforms=search, adaptive=chosen))
     return pyrender.Mesh(primitives=parts)
+
+
+def _exact(copy: DigitalCopy, material: PaintingMaterial) -> PaintingPrimitive:
+    if not has_triangle(copy.height_field.mask):
+        raise _no_triangle(copy, Mode.EXACT)
+    maps = material.search_maps
+    assert maps  # made here, so that they are the material's from now on
+    low, high = cell_bounds(copy)
+    return PaintingPrimitive(
+        *box(*bounds(copy)),
+        material,
+        ("plain.vert", "exact.frag"),
+        doubles={
+            "cells_low": low,
+            "cells_high": high,
+            "first_texel": np.array(copy.height_field.origin_mm),
+        },
+        culled=GL.GL_FRONT,
+    )
+
+
+def _no_triangle(copy: DigitalCopy, mode: Mode) -> RenderError:
+    return RenderError(
+        f"the copy's {int(copy.height_field.mask.sum())} measured texels make no triangle; "
+        f"draw it in another mode than {mode}"
+    )

@@ -25,8 +25,8 @@ class PaintingPrimitive(pyrender.Primitive):
     material : PaintingMaterial
     shaders : (str, str)
         Vertex and fragment shader files.
-    uniforms : dict
-        Beside the material's.
+    uniforms, doubles : dict
+        Beside the material's; the second in double precision.
     culled : int or None
         Faces left out: ``GL_FRONT`` for boxes whose inside is searched, ``GL_BACK`` for a surface
         that is nothing from behind.
@@ -40,12 +40,14 @@ class PaintingPrimitive(pyrender.Primitive):
         shaders: tuple[str, str],
         *,
         uniforms: dict[str, Any] | None = None,
+        doubles: dict[str, NDArray[np.float64]] | None = None,
         culled: int | None = None,
     ) -> None:
         super().__init__(positions=positions, material=material)
         self._triangles = np.ascontiguousarray(indices, dtype=np.uint32)
         self.shaders = shaders
         self._uniforms = uniforms or {}
+        self._doubles = doubles or {}
         self._culled = culled
 
     def _add_to_context(self) -> None:
@@ -69,6 +71,8 @@ class PaintingPrimitive(pyrender.Primitive):
         """Draw with the program bound; ``camera`` is its position in the canvas frame, mm."""
         for name, value in self._uniforms.items():
             program.set_uniform(name, value)
+        for name, value in self._doubles.items():
+            program.set_double(name, value)
         self._bind()
         self._set_state()
         self._draw_triangles(camera)

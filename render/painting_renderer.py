@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from render.errors import RenderError
 from render.opengl import GL, pyrender
 from render.painting_primitive import PaintingPrimitive
-from render.shader_program import LinearProgramCache, PaintingProgram
+from render.shader_program import LinearProgramCache, PaintingProgram, Shown
 
 
 class PaintingRenderer(pyrender.renderer.Renderer):
@@ -18,6 +18,11 @@ class PaintingRenderer(pyrender.renderer.Renderer):
 
     Anything else in the scene is drawn by pyrender's own shaders, into the same depth buffer and
     linear too. It needs its context current, also when it is deleted.
+
+    Attributes
+    ----------
+    shown : Shown
+        What paintings are drawn as.
     """
 
     _main_fb: Any
@@ -26,7 +31,8 @@ class PaintingRenderer(pyrender.renderer.Renderer):
     def __init__(self, viewport_width: int, viewport_height: int) -> None:
         super().__init__(viewport_width, viewport_height)
         self._program_cache = LinearProgramCache()
-        self._painting_programs: dict[tuple[str, str], PaintingProgram] = {}
+        self._painting_programs: dict[tuple[str, str, Shown], PaintingProgram] = {}
+        self.shown = Shown.RADIANCE
 
     def delete(self) -> None:
         """Free everything in the OpenGL context."""
@@ -41,12 +47,15 @@ class PaintingRenderer(pyrender.renderer.Renderer):
     def _get_primitive_program(self, primitive: Any, flags: int, program_flags: int) -> Any:
         if not isinstance(primitive, PaintingPrimitive):
             return super()._get_primitive_program(primitive, flags, program_flags)
-        if primitive.shaders not in self._painting_programs:
-            self._painting_programs[primitive.shaders] = PaintingProgram(*primitive.shaders)
-        return self._painting_programs[primitive.shaders]
+        key = (*primitive.shaders, self.shown)
+        if key not in self._painting_programs:
+            self._painting_programs[key] = PaintingProgram(*key)
+        return self._painting_programs[key]
 
     def _bind_lighting(self, scene: Any, program: Any, node: Any, flags: int) -> None:
-        self._camera_position = scene.get_pose(scene.main_camera_node)[:3, 3]
+        self._camera_pose = scene.get_pose(scene.main_camera_node)
+        size = (self.viewport_width, self.viewport_height)
+        self._projection = scene.main_camera_node.camera.get_projection_matrix(*size)
         super()._bind_lighting(scene, program, node, flags)
 
     def _bind_and_draw_primitive(self, primitive: Any, pose: Any, program: Any, flags: int) -> None:
@@ -59,11 +68,27 @@ class PaintingRenderer(pyrender.renderer.Renderer):
                 "poses only turn and move"
             )
         program.set_uniform("M", pose)
+        program.set_uniform("pixel_angle", 2 / (self._projection[1, 1] * self.viewport_height))
         for name, value in primitive.material.uniforms.items():
             program.set_uniform(name, value)
         for name, texture in primitive.material.maps.items():
-            self._bind_texture(texture, name, program)
-        primitive.draw(program, pose[:3, :3].T @ (self._camera_position - pose[:3, 3]))
+            if program.uses(name):
+                self._bind_texture(texture, name, program)
+        to_canvas = np.linalg.inv(pose) @ self._camera_pose
+        if program.uses("eye"):
+            self._set_rays(program, to_canvas)
+        primitive.draw(program, to_canvas[:3, 3])
+
+    def _set_rays(self, program: PaintingProgram, to_canvas: NDArray[np.float64]) -> None:
+        """Viewing rays as functions of the pixel, in double precision."""
+        across = 1 / self._projection[0, 0] * to_canvas[:3, 0]
+        up = 1 / self._projection[1, 1] * to_canvas[:3, 1]
+        # Pictures off the camera's axis have a third column.
+        forward = -to_canvas[:3, 2] + self._projection[0, 2] * across + self._projection[1, 2] * up
+        program.set_double("eye", to_canvas[:3, 3])
+        program.set_double("ray_corner", forward - across - up)
+        program.set_double("ray_dx", 2 / self.viewport_width * across)
+        program.set_double("ray_dy", 2 / self.viewport_height * up)
 
     def _configure_main_framebuffer(self) -> None:
         size = (self.viewport_width, self.viewport_height)

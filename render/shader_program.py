@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from render.errors import RenderError
 from render.opengl import GL, pyrender
@@ -19,6 +21,16 @@ _ENCODED = (
 _LINEAR = "frag_color = vec4(color.xyz, color.a * base_color.a);"
 
 
+class Shown(IntEnum):
+    """What the painting's shaders write."""
+
+    RADIANCE = 0
+    POINT = 1
+    """Where the surface was hit (mm, canvas frame); of a plane, the plane's point."""
+    WORK = 2
+    """Steps of the search and one per fragment, summed over all fragments of a pixel."""
+
+
 class PaintingProgram:
     """A program of the painting, with the interface that pyrender's renderer expects.
 
@@ -26,6 +38,8 @@ class PaintingProgram:
     ----------
     vertex, fragment : str
         File names; the fragment shader is preceded by ``surface.glsl``.
+    shown : Shown
+        What the fragment shader writes.
 
     Raises
     ------
@@ -33,7 +47,7 @@ class PaintingProgram:
         The driver refuses a shader.
     """
 
-    def __init__(self, vertex: str, fragment: str) -> None:
+    def __init__(self, vertex: str, fragment: str, shown: Shown = Shown.RADIANCE) -> None:
         shared = (_SHADERS / "surface.glsl").read_text()
         parts = (
             (GL.GL_VERTEX_SHADER, vertex, (_SHADERS / vertex).read_text()),
@@ -42,7 +56,7 @@ class PaintingProgram:
         self._program = GL.glCreateProgram()
         for kind, name, text in parts:
             shader = GL.glCreateShader(kind)
-            GL.glShaderSource(shader, _VERSION + text)
+            GL.glShaderSource(shader, f"{_VERSION}#define SHOWN {shown}\n{text}")
             GL.glCompileShader(shader)
             if not GL.glGetShaderiv(shader, GL.GL_COMPILE_STATUS):
                 log = GL.glGetShaderInfoLog(shader).decode(errors="replace")
@@ -57,14 +71,15 @@ class PaintingProgram:
 
     def set_uniform(self, name: str, value: Any) -> None:
         """Set a uniform; names that the shaders do not use are passed over, as GL does."""
-        if name not in self._locations:
-            self._locations[name] = GL.glGetUniformLocation(self._program, name)
-        location = self._locations[name]
+        location = self._location(name)
         if location < 0:
             return
         array = np.asarray(value)
-        if array.ndim == 0 and array.dtype.kind in "biu":
-            GL.glUniform1i(location, int(array))
+        if array.dtype.kind in "biu":
+            if array.ndim == 0:
+                GL.glUniform1i(location, int(array))
+            else:
+                GL.glUniform2i(location, *(int(number) for number in array))
         elif array.ndim == 0:
             GL.glUniform1f(location, float(array))
         elif array.ndim == 1:
@@ -73,6 +88,22 @@ class PaintingProgram:
         else:
             matrix = np.ascontiguousarray(array, np.float32)
             GL.glUniformMatrix4fv(location, 1, GL.GL_TRUE, matrix)
+
+    def set_double(self, name: str, value: NDArray[np.float64]) -> None:
+        """Set a uniform of two or three doubles."""
+        location = self._location(name)
+        if location >= 0:
+            setter = {2: GL.glUniform2d, 3: GL.glUniform3d}[len(value)]
+            setter(location, *(float(number) for number in value))
+
+    def uses(self, name: str) -> bool:
+        """Whether the shaders read a uniform."""
+        return self._location(name) >= 0
+
+    def _location(self, name: str) -> int:
+        if name not in self._locations:
+            self._locations[name] = GL.glGetUniformLocation(self._program, name)
+        return self._locations[name]
 
     def _bind(self) -> None:
         GL.glUseProgram(self._program)

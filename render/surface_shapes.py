@@ -39,6 +39,13 @@ def surface_triangles(
     return vertices, np.concatenate([t[keep] for t, keep in choices]).astype(np.uint32)
 
 
+def has_triangle(mask: NDArray[np.bool_]) -> bool:
+    """Whether any square of four texels has three that were measured."""
+    measured = mask.astype(np.int8)
+    squares = measured[:-1, :-1] + measured[:-1, 1:] + measured[1:, :-1] + measured[1:, 1:]
+    return bool((squares >= 3).any())
+
+
 def bounds(copy: DigitalCopy) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Lowest and highest corner, (3,) each in mm, of the box around the whole surface."""
     field = copy.height_field
@@ -49,6 +56,13 @@ def bounds(copy: DigitalCopy) -> tuple[NDArray[np.float64], NDArray[np.float64]]
     # A flat copy still needs a box with an inside.
     thin = 1e-3 * field.pitch_mm
     return np.array([left, top - height, low - thin]), np.array([left + width, top, high + thin])
+
+
+def cell_bounds(copy: DigitalCopy) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Lowest and highest corner, (3,) each in mm, of the box around all triangles."""
+    low, high = bounds(copy)
+    half = 0.5 * copy.height_field.pitch_mm * np.array([1.0, 1.0, 0.0])
+    return low + half, high - half
 
 
 def plane(copy: DigitalCopy) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

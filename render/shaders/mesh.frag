@@ -2,5 +2,7 @@
 in vec3 canvas_position;
 
 void main() {
-    frag_color = vec4(shade(canvas_position, texture_coordinate(canvas_position.xy)), 1.0);
+    vec2 uv = texture_coordinate(canvas_position.xy);
+    float level = level_of_detail(canvas_position);
+    show(canvas_position, uv, textureLod(relief_map, uv, level), level, 1.0, 0);
 }

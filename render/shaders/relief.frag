@@ -6,10 +6,18 @@ flat in vec3 box_low;
 flat in vec3 box_high;
 uniform int linear_steps;      // most steps of the linear search
 uniform int binary_steps;
-uniform float texel;           // mm
 uniform bool solid_sides;      // whether a ray that enters under the surface hits it there
 
-float clearance(vec3 p) { return p.z - texture(relief_map, texture_coordinate(p.xy)).x; }
+float clearance(vec3 p) { return p.z - textureLod(relief_map, texture_coordinate(p.xy), 0.0).x; }
+
+void show_hit(vec3 p, int steps) {
+    vec2 uv = texture_coordinate(p.xy);
+    float level = level_of_detail(p);
+    vec4 relief = textureLod(relief_map, uv, level);
+    if (relief.w < 0.5) MISS(steps);
+    gl_FragDepth = depth_of(p);
+    show(p, uv, relief, level, box_alpha, steps);
+}
 
 void main() {
     vec3 eye = to_canvas(cam_pos);
@@ -21,7 +29,7 @@ void main() {
     float entry = max(max(t_first.x, t_first.y), max(t_first.z, 0.0));
     vec3 t_last = max(t_low, t_high);
     float leave = min(min(t_last.x, t_last.y), t_last.z);
-    if (entry > leave) discard;
+    if (entry > leave) MISS(0);
 
     vec3 from = eye + entry * ray;
     vec3 along = (leave - entry) * ray;
@@ -30,29 +38,23 @@ void main() {
     int steps = clamp(int(ceil(crossed)), 2, linear_steps);
     bool above = clearance(from) > 0.0;
     if (!above && solid_sides) {
-        vec2 uv = texture_coordinate(from.xy);
-        if (texture(relief_map, uv).w < 0.5) discard;
-        gl_FragDepth = depth_of(from);
-        frag_color = vec4(shade(from, uv), box_alpha);
+        show_hit(from, 1);
         return;
     }
     float before = 0.0;
     float hit = -1.0;
-    for (int i = 1; i <= steps; ++i) {
+    int i = 1;
+    for (; i <= steps; ++i) {
         float t = float(i) / float(steps);
         float c = clearance(from + t * along);
         if (above && c <= 0.0) { hit = t; break; }
         above = c > 0.0;
         before = t;
     }
-    if (hit < 0.0) discard;
-    for (int i = 0; i < binary_steps; ++i) {
+    if (hit < 0.0) MISS(i);
+    for (int j = 0; j < binary_steps; ++j) {
         float middle = 0.5 * (before + hit);
         if (clearance(from + middle * along) > 0.0) before = middle; else hit = middle;
     }
-    vec3 p = from + hit * along;
-    vec2 uv = texture_coordinate(p.xy);
-    if (texture(relief_map, uv).w < 0.5) discard;
-    gl_FragDepth = depth_of(p);
-    frag_color = vec4(shade(p, uv), box_alpha);
+    show_hit(from + hit * along, i + binary_steps);
 }

@@ -11,6 +11,16 @@ struct SpotLight {
     float light_angle_scale; float light_angle_offset;
 };
 
+// What is written: 0 radiance, 1 the point that was hit, 2 how much work it was.
+#ifndef SHOWN
+#define SHOWN 0
+#endif
+#if SHOWN == 2
+#define MISS(steps) { frag_color = vec4(float(steps), 1.0, 0.0, 0.0); return; }
+#else
+#define MISS(steps) discard
+#endif
+
 uniform sampler2D relief_map;    // height in mm, n_x, n_y, mask
 uniform sampler2D diffuse_map;
 uniform sampler2D specular_map;
@@ -20,6 +30,8 @@ uniform vec2 grid_corner;        // X and Y of the top left corner of the grid, 
 uniform vec2 grid_size;          // width and height of the grid, mm
 uniform vec2 height_range;       // lowest and highest height, mm
 uniform float delta0;
+uniform float texel;             // mm
+uniform float pixel_angle;       // radians, at the middle of the picture
 uniform mat4 M;
 uniform mat4 P;
 uniform mat4 V;
@@ -43,29 +55,44 @@ vec2 texture_coordinate(vec2 xy) {
 vec3 to_canvas(vec3 world) { return transpose(mat3(M)) * (world - M[3].xyz); }
 vec3 direction_to_canvas(vec3 world) { return transpose(mat3(M)) * world; }
 
+// Level of the maps at which a texel is as large as a pixel's area on the canvas. Not from
+// derivatives: they mean nothing where neighbouring pixels hit different things.
+float level_of_detail(vec3 point) {
+    vec3 to_eye = to_canvas(cam_pos) - point;
+    float d2 = dot(to_eye, to_eye);
+    float cosine = max(abs(to_eye.z) * inversesqrt(d2), 0.05);
+    return max(0.5 * log2(pixel_angle * pixel_angle * d2 / (texel * texel * cosine)), 0.0);
+}
+
 float depth_of(vec3 canvas_point) {
     vec4 clip = P * V * M * vec4(canvas_point, 1.0);
     return 0.5 * clip.z / clip.w + 0.5;
 }
 
-vec3 reflectance(vec2 uv, vec3 v, vec3 l) {
-    if (!has_reflectance) return vec3(0.8 / PI);
-    vec4 lobe = texture(lobe_map, uv);
-    float d = dot(lobe.xyz, v * l);
-    float highlight = d > 0.0 ? pow(d, lobe.w) : 0.0;
-    return texture(diffuse_map, uv).rgb + texture(specular_map, uv).rgb * highlight;
+// Eq. 1's parameters at a place.
+struct Paint { vec3 diffuse; vec3 specular; vec4 lobe; };
+
+Paint paint_at(vec2 uv, float level) {
+    if (!has_reflectance) return Paint(vec3(0.8 / PI), vec3(0.0), vec4(0.0, 0.0, 0.0, 1.0));
+    return Paint(
+        textureLod(diffuse_map, uv, level).rgb,
+        textureLod(specular_map, uv, level).rgb,
+        textureLod(lobe_map, uv, level)
+    );
 }
 
-vec3 ambient_reflectance(vec2 uv) {
-    return has_reflectance ? texture(diffuse_map, uv).rgb : vec3(0.8 / PI);
+vec3 reflectance(Paint paint, vec3 v, vec3 l) {
+    float d = dot(paint.lobe.xyz, v * l);
+    float highlight = d > 0.0 ? pow(d, paint.lobe.w) : 0.0;
+    return paint.diffuse + paint.specular * highlight;
 }
 
 // Radiance by a light at a place, with the intensity it has in this direction.
-vec3 lit_from(vec3 place, vec3 intensity, vec3 point, vec2 uv, vec3 v, mat3 to_local) {
+vec3 lit_from(vec3 place, vec3 intensity, vec3 point, Paint paint, vec3 v, mat3 to_local) {
     vec3 to_light = to_canvas(place) - point;
     float r2 = dot(to_light, to_light);
     vec3 l = to_local * (to_light * inversesqrt(r2));
-    return reflectance(uv, v, l) * intensity * max(l.z, 0.0) / r2;
+    return reflectance(paint, v, l) * intensity * max(l.z, 0.0) / r2;
 }
 
 float cone(SpotLight light, vec3 point) {
@@ -76,28 +103,39 @@ float cone(SpotLight light, vec3 point) {
 }
 
 // Radiance leaving a surface point towards the camera; point and normal in the canvas frame.
-vec3 shade(vec3 point, vec2 uv) {
-    vec2 nxy = texture(relief_map, uv).yz;
-    vec3 n = vec3(nxy, sqrt(max(0.0, 1.0 - dot(nxy, nxy))));
+vec3 shade(vec3 point, vec2 uv, vec4 relief, float level) {
+    vec3 n = vec3(relief.yz, sqrt(max(0.0, 1.0 - dot(relief.yz, relief.yz))));
     // Local frame of eq. 1: the canvas X axis laid into the tangent plane.
     vec3 t = normalize(vec3(1.0, 0.0, 0.0) - n.x * n);
     mat3 to_local = transpose(mat3(t, cross(n, t), n));
     vec3 v = to_local * normalize(to_canvas(cam_pos) - point);
-    vec3 radiance = PI * ambient_reflectance(uv) * ambient_light;
+    Paint paint = paint_at(uv, level);
+    vec3 radiance = PI * paint.diffuse * ambient_light;
     for (int i = 0; i < n_point_lights; ++i) {
         vec3 intensity = point_lights[i].color * point_lights[i].intensity;
-        radiance += lit_from(point_lights[i].position, intensity, point, uv, v, to_local);
+        radiance += lit_from(point_lights[i].position, intensity, point, paint, v, to_local);
     }
     for (int i = 0; i < n_spot_lights; ++i) {
         vec3 intensity = spot_lights[i].color * spot_lights[i].intensity;
         intensity *= cone(spot_lights[i], point);
-        radiance += lit_from(spot_lights[i].position, intensity, point, uv, v, to_local);
+        radiance += lit_from(spot_lights[i].position, intensity, point, paint, v, to_local);
     }
     for (int i = 0; i < n_directional_lights; ++i) {
         vec3 l = to_local * direction_to_canvas(-directional_lights[i].direction);
         vec3 irradiance =
             directional_lights[i].color * directional_lights[i].intensity * max(l.z, 0.0);
-        radiance += reflectance(uv, v, l) * irradiance;
+        radiance += reflectance(paint, v, l) * irradiance;
     }
     return radiance;
+}
+
+// The fragment of a point that was hit, by its shape and paint at a level of the maps.
+void show(vec3 point, vec2 uv, vec4 relief, float level, float alpha, int steps) {
+#if SHOWN == 0
+    frag_color = vec4(shade(point, uv, relief, level), alpha);
+#elif SHOWN == 1
+    frag_color = vec4(point, alpha);
+#else
+    frag_color = vec4(float(steps), 1.0, 0.0, 0.0);
+#endif
 }

@@ -129,8 +129,15 @@ def _canvas(surface: Surface) -> Surface:
     width, height = (round(side / surface.pitch_mm) for side in surface.canvas_mm)
     top, left = (rows - height) // 2, (cols - width) // 2
     inside = slice(top, top + height), slice(left, left + width)
-    maps = (surface.height, surface.albedo, surface.roughness, surface.varnish, surface.metal)
-    return Surface(*(m[inside] for m in maps), surface.pitch_mm, surface.canvas_mm)
+    return Surface(
+        surface.height[inside],
+        surface.albedo[inside],
+        surface.roughness[inside],
+        surface.varnish[inside],
+        surface.metal[inside],
+        surface.pitch_mm,
+        surface.canvas_mm,
+    )
 
 
 def _averaged(values: Floats, texel: int) -> Floats:

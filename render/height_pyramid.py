@@ -1,0 +1,59 @@
+"""Pyramids of least and greatest heights, through which rays skip what they cannot hit.
+
+Maximum mipmaps: Tevs, Ihrke, Seidel, I3D 2008. A cell lies between four texel centres; level 0 has
+the cells, every further level squares of twice their size.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.height_field import HeightField
+
+GAP = np.float32(-1e30)
+"""Stands for no height; as ``GAP`` in the shaders."""
+
+
+def heights_with_gaps(field: HeightField) -> NDArray[np.float32]:
+    """Heights (rows, cols) in mm, ``GAP`` where nothing was measured."""
+    return np.where(field.mask, field.height, GAP).astype(np.float32)
+
+
+def min_max_pyramid(height: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+    """Least and greatest height of squares of cells.
+
+    Parameters
+    ----------
+    height : (rows, cols) float32 array
+        mm, ``GAP`` where nothing was measured.
+
+    Returns
+    -------
+    list of (rows, cols, 2) float32 arrays
+        Sides are powers of two. The least is ``GAP`` where a square has a gap or reaches beyond the
+        grid; the greatest is where it has nothing else.
+    """
+    rows, cols = (max(side - 1, 1) for side in height.shape)
+    corners = [height[i : i + rows, j : j + cols] for i in (0, 1) for j in (0, 1)]
+    corners = [corner for corner in corners if corner.shape == (rows, cols)]
+    level = np.full((_power_of_two(rows), _power_of_two(cols), 2), GAP, np.float32)
+    # Without a second row or column there is no cell, and nothing to hit.
+    if len(corners) == 4:
+        level[:rows, :cols, 0] = np.minimum.reduce(corners)
+        level[:rows, :cols, 1] = np.maximum.reduce(corners)
+    levels = [level]
+    while max(levels[-1].shape[:2]) > 1:
+        levels.append(_halved(levels[-1]))
+    return levels
+
+
+def _power_of_two(side: int) -> int:
+    return 1 << (side - 1).bit_length()
+
+
+def _halved(level: NDArray[np.float32]) -> NDArray[np.float32]:
+    rows, cols = level.shape[:2]
+    down, across = min(rows, 2), min(cols, 2)
+    blocks = level.reshape(rows // down, down, cols // across, across, 2)
+    return np.stack([blocks[..., 0].min(axis=(1, 3)), blocks[..., 1].max(axis=(1, 3))], axis=-1)
