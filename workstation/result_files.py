@@ -1,0 +1,149 @@
+"""Results of stages on disk: frozen dataclasses of arrays, in one NumPy archive.
+
+The archive holds the arrays, and a JSON tree that says how they make up the result. Only
+dataclasses and enums of Impasto's own packages are made from it, so that reading a file runs no
+code that it brings. Its checksums (CRC-32 of each part) catch damage.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import math
+import zipfile
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.atomic_files import file_in_progress
+from devices.errors import ImpastoError
+
+_PACKAGES = ("devices", "acquisition", "calibration", "fitting", "render", "workstation")
+_TREE = "tree"
+
+
+class ResultFileError(ImpastoError):
+    """A stored result cannot be read, or a result cannot be stored."""
+
+
+def write_result(result: Any, path: Path) -> None:
+    """Write a result, whole or not at all.
+
+    Parameters
+    ----------
+    result : Any
+        Dataclasses, enums, arrays, tuples, lists, dictionaries, numbers, texts and None.
+    path : Path
+
+    Raises
+    ------
+    ResultFileError
+        It holds something else.
+    """
+    arrays: list[NDArray[Any]] = []
+    tree = json.dumps(_encode(result, arrays))
+    named = {f"a{number}": array for number, array in enumerate(arrays)}
+    with file_in_progress(path) as unfinished, unfinished.open("wb") as file:
+        np.savez(file, **{_TREE: np.array(tree)}, **named)
+
+
+def read_result(path: Path) -> Any:
+    """Read what :func:`write_result` wrote.
+
+    Raises
+    ------
+    ResultFileError
+        The file is missing, damaged, or of another version.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            tree = json.loads(str(archive[_TREE]))
+            return _decode(tree, archive)
+    except ImpastoError as error:
+        raise ResultFileError(f"{path}: {error}") from None
+    except (
+        *(OSError, ValueError, KeyError, TypeError, AttributeError, ImportError),
+        *(EOFError, IndexError, zipfile.BadZipFile, RecursionError, NotImplementedError),
+    ) as error:
+        raise ResultFileError(f"{path}: damaged or of another version ({error})") from None
+
+
+def _encode(value: Any, arrays: list[NDArray[Any]]) -> Any:
+    """A value as JSON, its arrays appended to the list and named by their place in it."""
+
+    def encode(inner: Any) -> Any:
+        return _encode(inner, arrays)
+
+    match value:
+        case Enum():
+            return {"enum": _name(type(value)), "value": encode(value.value)}
+        case None | bool() | int() | str():
+            return value
+        case float():
+            return value if math.isfinite(value) else {"float": str(value)}
+        case np.ndarray() | np.generic():
+            if value.dtype.hasobject:
+                raise ResultFileError("an array of objects cannot be stored")
+            arrays.append(np.asarray(value))
+            return {"scalar" if isinstance(value, np.generic) else "array": len(arrays) - 1}
+        case tuple() | list():
+            return {type(value).__name__: [encode(inner) for inner in value]}
+        case dict():
+            return {"dict": [[encode(key), encode(inner)] for key, inner in value.items()]}
+        case Path():
+            return {"path": str(value)}
+        case _ if is_dataclass(value) and not isinstance(value, type):
+            content = {f.name: encode(getattr(value, f.name)) for f in fields(value) if f.init}
+            return {"dataclass": _name(type(value)), "fields": content}
+    raise ResultFileError(f"a {type(value).__name__} cannot be stored")
+
+
+def _decode(tree: Any, archive: Any) -> Any:
+    if not isinstance(tree, dict):
+        return tree
+
+    def decode(inner: Any) -> Any:
+        return _decode(inner, archive)
+
+    match tree:
+        case {"array": int(number)}:
+            return archive[f"a{number}"]
+        case {"scalar": int(number)}:
+            return archive[f"a{number}"][()]
+        case {"float": str(text)}:
+            return float(text)
+        case {"tuple": list(inner)}:
+            return tuple(map(decode, inner))
+        case {"list": list(inner)}:
+            return list(map(decode, inner))
+        case {"dict": list(pairs)}:
+            return {decode(key): decode(inner) for key, inner in pairs}
+        case {"path": str(text)}:
+            return Path(text)
+        case {"enum": str(name), "value": value}:
+            return _type(name, Enum)(decode(value))
+        case {"dataclass": str(name), "fields": dict(content)}:
+            kind = _type(name, None)
+            return kind(**{field: decode(inner) for field, inner in content.items()})
+    raise ResultFileError(f"nothing is made of {sorted(tree)}")
+
+
+def _name(kind: type) -> str:
+    return f"{kind.__module__}:{kind.__qualname__}"
+
+
+def _type(name: str, base: type | None) -> Any:
+    module, _, qualified = name.partition(":")
+    if module.partition(".")[0] not in _PACKAGES:
+        raise ResultFileError(f"{name} is none of Impasto's types")
+    kind: Any = importlib.import_module(module)
+    for part in qualified.split("."):
+        kind = getattr(kind, part)
+    wanted = isinstance(kind, type) and (issubclass(kind, base) if base else is_dataclass(kind))
+    if not wanted:
+        raise ResultFileError(f"{name} is none of Impasto's types")
+    return kind

@@ -1,0 +1,197 @@
+"""Stages that run only when something they depend on has changed.
+
+The result of a stage is stored under a key: a digest of the program's own source, the stage's name,
+its parameters, and the keys of the stages before it. A stage whose key is that of the stored result
+is not run; nothing else about the result is looked at. One result is kept of each stage.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, is_dataclass
+from enum import Enum
+from functools import cache
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from acquisition.atomic_files import file_in_progress
+from workstation.result_files import ResultFileError, read_result, write_result
+
+T = TypeVar("T")
+_PACKAGES = ("devices", "acquisition", "calibration", "fitting", "render", "workstation")
+
+
+@dataclass(frozen=True)
+class StageRun:
+    """What became of a stage.
+
+    Attributes
+    ----------
+    name : str
+    seconds : float
+        Of running it, or of looking that it need not run.
+    skipped : bool
+        Whether the stored result was taken.
+    saved_s : float
+        What the stage took when it ran, if it was skipped.
+    """
+
+    name: str
+    seconds: float
+    skipped: bool
+    saved_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class StageResult(Generic[T]):
+    """A result that is read from the disk when it is first asked for.
+
+    Attributes
+    ----------
+    key : str
+        What later stages depend on.
+    """
+
+    key: str
+    _get: Callable[[], T]
+
+    def get(self) -> T:
+        """The result itself."""
+        return self._get()
+
+
+@dataclass
+class StageCache:
+    """Stored results of the stages of one piece of work.
+
+    Attributes
+    ----------
+    folder : Path or None
+        Where results are kept; None keeps none, and every stage runs.
+    runs : list of StageRun
+        What became of each stage, in order.
+    begin : callable
+        Called with the name of each stage that runs, as it starts.
+    """
+
+    folder: Path | None
+    begin: Callable[[str], None] = lambda stage: None
+    runs: list[StageRun] = field(default_factory=list)
+
+    def run(
+        self, name: str, compute: Callable[[], T], *, depends_on: tuple[str, ...], parameters: Any
+    ) -> StageResult[T]:
+        """Run a stage, unless its stored result is that of the same program, inputs and parameters.
+
+        Parameters
+        ----------
+        name : str
+            Of letters, digits, spaces and hyphens.
+        compute : callable
+            Runs the stage.
+        depends_on : tuple of str
+            Keys of the results it is made from, and digests of other inputs.
+        parameters : Any
+            A dataclass, or plain values.
+
+        Returns
+        -------
+        StageResult
+
+        Raises
+        ------
+        ImpastoError
+            From the stage.
+        """
+        began = time.perf_counter()
+        key = _key(name, depends_on, parameters)
+        if self.folder is None:
+            return self._compute(name, key, compute, began)
+        stem = self.folder / name.replace(" ", "-")
+        note = _read_note(stem.with_suffix(".json"))
+        if note.get("key") == key and stem.with_suffix(".npz").is_file():
+            self.runs.append(
+                StageRun(name, time.perf_counter() - began, True, float(note.get("seconds", 0.0)))
+            )
+            return StageResult(key, cache(lambda: self._read(name, stem, compute)))
+        result = self._compute(name, key, compute, began)
+        # Where there is no room for it, the next run has to do the work again.
+        with contextlib.suppress(OSError):
+            self._store(stem, key, result.get(), self.runs[-1].seconds)
+        return result
+
+    def _compute(
+        self, name: str, key: str, compute: Callable[[], T], began: float
+    ) -> StageResult[T]:
+        self.begin(name)
+        value = compute()
+        self.runs.append(StageRun(name, time.perf_counter() - began, False))
+        return StageResult(key, lambda: value)
+
+    def _read(self, name: str, stem: Path, compute: Callable[[], T]) -> T:
+        try:
+            return read_result(stem.with_suffix(".npz"))
+        except ResultFileError:
+            # A damaged result is as good as none.
+            stem.with_suffix(".json").unlink(missing_ok=True)
+            self.begin(name)
+            return compute()
+
+    @staticmethod
+    def _store(stem: Path, key: str, value: Any, seconds: float) -> None:
+        """Store a result and then its key, so that a key never names another's result."""
+        stem.parent.mkdir(parents=True, exist_ok=True)
+        note = stem.with_suffix(".json")
+        note.unlink(missing_ok=True)
+        write_result(value, stem.with_suffix(".npz"))
+        with file_in_progress(note) as unfinished:
+            unfinished.write_text(json.dumps({"key": key, "seconds": round(seconds, 3)}))
+
+
+def digest_of_files(folder: Path) -> str:
+    """Digest of every file below a folder, by name and content."""
+    digest = hashlib.sha256()
+    for file in sorted(path for path in folder.rglob("*") if path.is_file()):
+        content = file.read_bytes()
+        digest.update(f"{file.relative_to(folder).as_posix()} {len(content)}\n".encode())
+        digest.update(content)
+    return digest.hexdigest()
+
+
+def _key(name: str, depends_on: tuple[str, ...], parameters: Any) -> str:
+    plain = is_dataclass(parameters) and not isinstance(parameters, type)
+    stated = asdict(parameters) if plain else parameters
+    what = json.dumps([_program(), name, list(depends_on), stated], default=_plain, sort_keys=True)
+    return hashlib.sha256(what.encode()).hexdigest()
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Enum):
+        return value.name
+    if isinstance(value, Path):
+        return str(value)
+    raise TypeError(f"a {type(value).__name__} is no parameter of a stage")
+
+
+@cache
+def _program() -> str:
+    """Digest of the program's source: another version may have other results."""
+    root = Path(__file__).resolve().parents[1]
+    digest = hashlib.sha256()
+    for package in _PACKAGES:
+        for file in sorted((root / package).rglob("*.py")):
+            digest.update(file.relative_to(root).as_posix().encode())
+            digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def _read_note(path: Path) -> dict[str, Any]:
+    try:
+        note = json.loads(path.read_text())
+    except (OSError, ValueError):
+        return {}
+    return note if isinstance(note, dict) else {}
