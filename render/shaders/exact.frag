@@ -17,7 +17,7 @@ uniform int pyramid_top;
 const float GAP = -1e30;
 
 // Places of a ray: texels to the right, texels down, mm towards the viewer.
-struct Ray { vec3 from; vec3 along; float length; };
+struct Ray { dvec3 start; vec3 from; vec3 along; float length; };
 
 // First crossing from above within the two triangles of a cell, between two places of the ray;
 // below zero where there is none. `above` tells whether the ray came to the cell above its surface.
@@ -30,7 +30,7 @@ float hit_in_cell(
     bvec4 missing = lessThan(vec4(a, b, c, d), vec4(0.5 * GAP));
     // The diagonal runs from b to c unless one of those is missing.
     bool falling = !(missing.y || missing.z);
-    vec2 start = ray.from.xy - vec2(cell);
+    vec2 start = vec2(ray.start.xy - dvec2(cell));
     float turn = falling ? ray.along.x + ray.along.y : ray.along.x - ray.along.y;
     float side = falling ? start.x + start.y - 1.0 : start.x - start.y;
     float split = turn != 0.0 ? -side / turn : leave;
@@ -131,7 +131,7 @@ void main() {
     ivec2 cell;
     vec3 triangle;
     float hit = first_hit(
-        Ray(vec3(start), vec3(along), float(leave - entry)), steps, cell, triangle
+        Ray(start, vec3(start), vec3(along), float(leave - entry)), steps, cell, triangle
     );
     if (hit < 0.0) MISS(steps);
     // Along a triangle that is seen edge-on single precision is too little again.
