@@ -72,7 +72,11 @@ def decode_frame(content: bytes, *, path: Path) -> Samples:
     SessionError
         The content is not a whole picture.
     """
-    image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    try:
+        image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        # No content at all, or a header that tells a size beyond all measure.
+        image = None
     if image is None:
         raise SessionError(f"{path}: truncated, or not a picture")
     return image  # type: ignore[return-value]

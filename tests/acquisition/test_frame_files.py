@@ -93,3 +93,12 @@ def test_truncated_files_are_refused(tmp_path):
     content = encode_frame(np.ones((50, 60), np.uint16), name="a")
     with pytest.raises(SessionError, match="not a picture"):
         decode_frame(content[:20], path=tmp_path / "f.png")
+
+
+def test_a_size_beyond_all_measure_and_nothing_at_all_are_refused(tmp_path):
+    content = encode_frame(np.ones((50, 60), np.uint16), name="a")
+    header = b"IHDR" + struct.pack(">II", 65536, 2**31 - 1) + content[24:29]
+    huge = content[:12] + header + struct.pack(">I", zlib.crc32(header)) + content[33:]
+    for damaged in (huge, b""):
+        with pytest.raises(SessionError, match="f.png: .*not a picture"):
+            decode_frame(damaged, path=tmp_path / "f.png")
