@@ -41,6 +41,8 @@ class SkipReason(StrEnum):
 
     SERVED = "other exposures of the bracket serve its pixels"
     SATURATED = "what lacks signal would saturate"
+    PRECISE = "coordinates are precise enough without it"
+    ORDER_KNOWN = "fringe orders are certain without it"
 
 
 class _Event(BaseModel):
@@ -60,7 +62,8 @@ class FrameRecorded(_Event):
     """A frame is safe on the disk; its times are those of the exposure.
 
     ``subject`` is what the rig knew it to be a picture of, ``needed_by`` the number of pixels that
-    its exposure was taken for where others of its bracket had been taken already.
+    its exposure was taken for where others of its bracket had been taken already, or that would
+    miss their target without it.
     """
 
     event: Literal["frame"] = "frame"
@@ -74,7 +77,7 @@ class FrameRecorded(_Event):
 
 
 class FrameSkipped(_Event):
-    """A planned frame of a bracket was not needed.
+    """A planned frame of a bracket or of a metered code was not needed.
 
     ``pixels`` is the number that would have gained by it, ``saturating`` the number that it was
     predicted to saturate.

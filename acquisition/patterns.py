@@ -21,6 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, model_validator
 
+from acquisition.projector_response import ProjectorResponse
+
 
 class Axis(StrEnum):
     """The projector coordinate that a pattern encodes."""
@@ -146,9 +148,22 @@ def pattern_profile(
 
 
 def pattern_image(
-    pattern: PhaseShift | Gray | Uniform, *, width: int, height: int
+    pattern: PhaseShift | Gray | Uniform,
+    *,
+    width: int,
+    height: int,
+    response: ProjectorResponse | None = None,
 ) -> NDArray[np.uint8]:
     """Picture of a pattern for a projector of ``width`` × ``height`` pixels.
+
+    Parameters
+    ----------
+    pattern : PhaseShift, Gray or Uniform
+    width, height : int
+    response : ProjectorResponse, optional
+        By which fringes are compensated, so that it is their light that is as the pattern says.
+        Black, white and Gray code are the same anyway, and other greys are shown as they are: they
+        measure the response.
 
     Returns
     -------
@@ -158,6 +173,8 @@ def pattern_image(
         return np.full((height, width), round(255 * pattern.level), dtype=np.uint8)
     along_columns = pattern.axis is Axis.COLUMN
     profile = pattern_profile(pattern, np.arange(width if along_columns else height, dtype=float))
+    if response is not None and isinstance(pattern, PhaseShift):
+        profile = response.level_of(profile)
     levels = np.round(255 * profile).astype(np.uint8)
     line = levels[np.newaxis, :] if along_columns else levels[:, np.newaxis]
     return np.ascontiguousarray(np.broadcast_to(line, (height, width)))

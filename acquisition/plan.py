@@ -3,6 +3,7 @@
 Frames may form brackets, exposures of one light from short to long, of which the recording leaves
 out those that no pixel needs. Which ones, it decides from the frames that it has recorded, by a
 rule that stands in the plan; so a recording that is resumed decides as one that was never cut off.
+A projected code may be metered: its first frames tell which of the others some pixel needs.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ from pydantic import (
     model_validator,
 )
 
-from acquisition.patterns import Pattern
+from acquisition.patterns import BLACK, WHITE, Axis, Pattern, PhaseShift, Uniform
+from acquisition.projector_response import ProjectorResponse
 from devices.interfaces import ArmPose
 
 FrameId = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$", max_length=64)]
@@ -106,6 +108,11 @@ class PlannedFrame(_PlanPart):
         """What frames of one bracket have in common."""
         return (self.purpose, self.pattern, self.arm_pose, self.lamp_on, self.camera_position)
 
+    @property
+    def is_metered(self) -> bool:
+        """Whether metering may find that the frame is not needed, where the plan is metered."""
+        return self.purpose is Purpose.CODE and not isinstance(self.pattern, Uniform)
+
     @model_validator(mode="after")
     def _consistent(self) -> PlannedFrame:
         if self.lamp_on and self.arm_pose is None:
@@ -147,6 +154,40 @@ class Bracketing(_PlanPart):
     least_share: float = Field(default=5e-4, ge=0, lt=1)
 
 
+class Metering(_PlanPart):
+    """Which frames of a projected code are needed, by what its first ones show.
+
+    White and black at every exposure come first, then some steps of every fringe at the exposure
+    that suits most pixels. They tell what variance each pixel's coordinate would have from any
+    other frames, and so which of them no pixel needs.
+
+    Attributes
+    ----------
+    column_sigma_px, row_sigma_px : float
+        Standard deviation that each coordinate is to have, in pixels of the panel.
+    slack : float
+        A pixel that misses it whatever is taken may lose this share of what precision it can have.
+    least_share : float
+        Share of the pixels that must need a frame for it to be taken.
+    least_steps : int
+        Fewest steps of a fringe: harmonics of the projector's response up to one less are kept out
+        of the phase.
+    wrong_order_probability : float
+        Of a step from a coarse fringe to a finer one, for which the coarse one must be precise.
+    """
+
+    column_sigma_px: float = Field(default=0.05, gt=0)
+    row_sigma_px: float = Field(default=0.05, gt=0)
+    slack: float = Field(default=0.03, ge=0, lt=1)
+    least_share: float = Field(default=5e-4, ge=0, lt=1)
+    least_steps: int = Field(default=4, ge=3)
+    wrong_order_probability: float = Field(default=1e-5, gt=0, lt=1)
+
+    def sigma_px(self, axis: Axis) -> float:
+        """The target of a coordinate."""
+        return self.column_sigma_px if axis is Axis.COLUMN else self.row_sigma_px
+
+
 class Plan(_PlanPart):
     """Everything that a recording will capture.
 
@@ -164,6 +205,10 @@ class Plan(_PlanPart):
         Where the frames come from: ``"rig"``, ``"simulation"``, or a foreign capture's name.
     bracketing : Bracketing or None
         When frames of brackets are needed; None if all of them are taken.
+    metering : Metering or None
+        When frames of a projected code are needed; None if all of them are taken.
+    response : ProjectorResponse or None
+        By which fringes are compensated; None where they are shown as they are.
     lamp_warm_up_s : float
         For how long the lamp burns before the first frame that it lights.
     """
@@ -176,6 +221,8 @@ class Plan(_PlanPart):
     frames: tuple[PlannedFrame, ...] = Field(min_length=1)
     source: str
     bracketing: Bracketing | None = None
+    metering: Metering | None = None
+    response: ProjectorResponse | None = None
     lamp_warm_up_s: float = Field(default=0.0, ge=0, le=3600)
 
     @property
@@ -183,6 +230,17 @@ class Plan(_PlanPart):
         """Places of the camera that frames name, in the order of the first."""
         named = (f.camera_position for f in self.frames if f.camera_position is not None)
         return tuple(dict.fromkeys(named))
+
+    @property
+    def optional_frames(self) -> frozenset[str]:
+        """Ids of the frames that the recording may find not to be needed."""
+        optional: set[str] = set()
+        if self.bracketing is not None:
+            followers = (f for before, f in pairwise(self.frames) if f.bracket == before.bracket)
+            optional |= {frame.id for frame in followers if frame.bracket is not None}
+        if self.metering is not None:
+            optional |= {frame.id for frame in self.frames if frame.is_metered}
+        return frozenset(optional)
 
     def only(self, *, purpose: Purpose, camera_position: str | None = None) -> Plan | None:
         """The part of the plan that serves a purpose, from one place of the camera.
@@ -209,7 +267,29 @@ class Plan(_PlanPart):
     @model_serializer(mode="wrap")
     def _without_defaults(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         written: dict[str, Any] = handler(self)
-        return _less_defaults(self, written, ("bracketing", "lamp_warm_up_s"))
+        return _less_defaults(
+            self, written, ("bracketing", "metering", "response", "lamp_warm_up_s")
+        )
+
+    @model_validator(mode="after")
+    def _can_be_metered(self) -> Plan:
+        if self.metering is None:
+            return self
+        fringed: set[str | None] = set()
+        flats: dict[str | None, set[tuple[float | None, Pattern | None]]] = {}
+        for frame in self.frames:
+            before = flats.setdefault(frame.camera_position, set())
+            if not frame.is_metered:
+                before.add((frame.exposure_s, frame.pattern))
+            elif not all((frame.exposure_s, flat) in before for flat in (WHITE, BLACK)):
+                raise ValueError(
+                    f"frame {frame.id}: metering takes white and black at its exposure before it"
+                )
+            elif isinstance(frame.pattern, PhaseShift):
+                fringed.add(frame.camera_position)
+        if not fringed:
+            raise ValueError("metering chooses steps of fringes, and there are none")
+        return self
 
     @model_validator(mode="after")
     def _brackets_in_order(self) -> Plan:

@@ -175,5 +175,5 @@ def _arm_of(plan: Plan) -> ArmCapabilities | None:
 
 def _projection(plan: Plan, frame_id: str, pattern: Pattern) -> Projection:
     panel = plan.projector
-    image = pattern_image(pattern, width=panel.width, height=panel.height)
+    image = pattern_image(pattern, width=panel.width, height=panel.height, response=plan.response)
     return Projection(f"{frame_id} {describe(pattern)}", image)

@@ -1,7 +1,7 @@
 """Recording a plan: the scene is set for each frame, the frame taken, checked and put on the disk.
 
-Scans and photographs are recorded alike. What is left out of a bracket is decided from the frames
-on the disk alone, so that a recording that was cut off anywhere goes on as if it had not been.
+Scans and photographs are recorded alike. What is left out is decided from the frames on the disk
+alone, so that a recording that was cut off anywhere goes on as if it had not been.
 A frame is put on the disk while the next one is exposed.
 Lights go out and motion stops on every way out.
 """
@@ -9,14 +9,16 @@ Lights go out and motion stops on every way out.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
 
 from acquisition.adaptive_bracket import AdaptiveBracket, Need
 from acquisition.disk_space import bytes_needed, frame_bytes, require_space
+from acquisition.frame_choice import Choice
 from acquisition.frame_files import Samples
+from acquisition.metered_code import MeteredCode
 from acquisition.patterns import BLACK, WHITE
 from acquisition.plan import Plan, PlannedFrame, Purpose
 from acquisition.scene_setting import SceneSetter
@@ -63,24 +65,16 @@ def record_plan(
         The disk is full, or fails.
     """
     plan = writer.plan
-    missing = set(writer.missing)
-    require_space(
-        writer.path, bytes_needed(plan, frames=len(missing)), what=f"{len(missing)} frames"
-    )
+    missing = len(writer.missing)
+    require_space(writer.path, bytes_needed(plan, frames=missing), what=f"{missing} frames")
     scene = SceneSetter(plan, rig, confirm=confirm, wait=wait)
-    brackets = _Brackets(writer)
     flats = _Flats(plan)
     rig.begin_recording()
     with WriteBehind() as disk:
         try:
             _check_devices(plan, rig)
             rig.blank()
-            for number, planned in enumerate(plan.frames):
-                if planned.id not in missing:
-                    continue
-                if brackets.asks_of(number):
-                    disk.settle()
-                need = brackets.need_of(number)
+            for planned, need in _needs(writer, disk):
                 if need is None or need.needed:
                     frame = _take(writer, rig, planned, scene=scene)
                     flats.check(planned, frame.image)
@@ -95,6 +89,30 @@ def record_plan(
             rig.make_safe()
 
 
+def _needs(
+    writer: SessionWriter, disk: WriteBehind
+) -> Iterator[tuple[PlannedFrame, Need | Choice | None]]:
+    """Frames that are missing, each with whether it is needed; None for those that surely are.
+
+    In the order of the plan, but that metering frames come before those that they tell of.
+    """
+    missing = set(writer.missing)
+    brackets, metered = _Brackets(writer), MeteredCode(writer)
+    for number, planned in enumerate(writer.plan.frames):
+        if planned.id not in missing:
+            continue
+        if brackets.asks_of(number) or metered.asks_of(planned):
+            disk.settle()
+        for frame in metered.frames_before(planned):
+            missing.discard(frame.id)
+            yield frame, None
+            disk.settle()
+        if planned.id not in missing:
+            continue
+        choice = metered.choice_of(planned)
+        yield planned, brackets.need_of(number) if choice is None else choice
+
+
 def _take(writer: SessionWriter, rig: Rig, planned: PlannedFrame, *, scene: SceneSetter) -> Frame:
     """Take one frame."""
     if planned.exposure_s is None:
@@ -105,7 +123,9 @@ def _take(writer: SessionWriter, rig: Rig, planned: PlannedFrame, *, scene: Scen
     return rig.capture(planned.exposure_s)
 
 
-def _record(writer: SessionWriter, planned: PlannedFrame, frame: Frame, need: Need | None) -> None:
+def _record(
+    writer: SessionWriter, planned: PlannedFrame, frame: Frame, need: Need | Choice | None
+) -> None:
     writer.record(
         planned.id,
         frame.image,
@@ -118,7 +138,7 @@ def _record(writer: SessionWriter, planned: PlannedFrame, frame: Frame, need: Ne
     )
 
 
-def _skip(writer: SessionWriter, planned: PlannedFrame, need: Need) -> None:
+def _skip(writer: SessionWriter, planned: PlannedFrame, need: Need | Choice) -> None:
     writer.skip(planned.id, reason=need.reason, pixels=need.pixels, saturating=need.saturating)
 
 

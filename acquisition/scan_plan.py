@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from acquisition.errors import SessionError
 from acquisition.patterns import BLACK, WHITE, Axis, Gray, PhaseShift, Uniform
-from acquisition.plan import Crop, Imager, Plan, PlannedFrame
+from acquisition.plan import Crop, Imager, Metering, Plan, PlannedFrame
+from acquisition.projector_response import LEVELS, ProjectorResponse
 
 _LONGEST_CODE = 24
 
@@ -24,6 +26,8 @@ def plan_structured_light(
     periods_px: tuple[float, ...] = (24.0,),
     steps: int = 8,
     inverse: bool = False,
+    metering: Metering | None = None,
+    response: ProjectorResponse | None = None,
     source: str = "rig",
 ) -> Plan:
     """Plan a scan by phase shift: white, black, then every axis from coarse to fine.
@@ -52,6 +56,10 @@ def plan_structured_light(
     inverse : bool
         Whether each bit of a Gray code is followed by its inverse, by which a bit is read where
         neither mean nor white and black frames tell.
+    metering : Metering, optional
+        By what frames that no pixel needs are left out; by default, all are taken.
+    response : ProjectorResponse, optional
+        Of the projector, by which fringes are compensated.
     source : str
         Kept in the plan.
 
@@ -70,18 +78,78 @@ def plan_structured_light(
         projector_size, axes=axes, periods_px=periods_px, steps=steps, inverse=inverse
     )
     check_exposures(exposures)
+    return _plan(
+        patterns,
+        exposures,
+        camera_size=camera_size,
+        projector_size=projector_size,
+        saturation_level=saturation_level,
+        metering=metering,
+        response=response,
+        source=source,
+    )
+
+
+def plan_greys(
+    *,
+    camera_size: tuple[int, int],
+    projector_size: tuple[int, int],
+    saturation_level: int,
+    exposure_s: tuple[float, ...],
+    greys: int = 17,
+    source: str = "rig",
+) -> Plan:
+    """Plan uniform greys, which tell the projector's response.
+
+    Parameters
+    ----------
+    camera_size, projector_size, saturation_level, exposure_s, source
+        As of :func:`plan_structured_light`.
+    greys : int
+        Levels in even steps from black to white.
+
+    Returns
+    -------
+    Plan
+
+    Raises
+    ------
+    SessionError
+        Fewer than three levels or more than the panel has, or an exposure that cannot be planned.
+    """
+    if not 3 <= greys <= LEVELS:
+        raise SessionError(f"{greys} greys tell no response; plan 3 to {LEVELS}")
+    check_exposures(exposure_s)
+    between = [Uniform(level=float(level)) for level in np.linspace(0, 1, greys)[1:-1]]
+    return _plan(
+        [WHITE, BLACK, *between],
+        sorted(exposure_s),
+        camera_size=camera_size,
+        projector_size=projector_size,
+        saturation_level=saturation_level,
+        source=source,
+    )
+
+
+def _plan(
+    patterns: Sequence[PhaseShift | Gray | Uniform],
+    exposures_s: list[float],
+    *,
+    camera_size: tuple[int, int],
+    projector_size: tuple[int, int],
+    **parts: Any,
+) -> Plan:
     width, height = camera_size
-    shots = [(pattern, exposure) for pattern in patterns for exposure in exposures]
+    shots = [(pattern, exposure) for pattern in patterns for exposure in exposures_s]
     return Plan(
         camera=Imager(width=width, height=height),
         projector=Imager(width=projector_size[0], height=projector_size[1]),
         crop=Crop(column=0, row=0, width=width, height=height),
-        saturation_level=saturation_level,
         frames=tuple(
             PlannedFrame(id=f"{number:04d}", pattern=pattern, exposure_s=exposure)
             for number, (pattern, exposure) in enumerate(shots)
         ),
-        source=source,
+        **parts,
     )
 
 

@@ -64,7 +64,12 @@ class SceneSetter:
         self._switch_lamp(planned.lamp_on)
         if planned.pattern is not None:
             panel = self._rig.projector.capabilities
-            image = pattern_image(planned.pattern, width=panel.width, height=panel.height)
+            image = pattern_image(
+                planned.pattern,
+                width=panel.width,
+                height=panel.height,
+                response=self._plan.response,
+            )
             self._rig.show(Projection(f"{planned.id} {describe(planned.pattern)}", image))
 
     def _place_camera(self, position: str | None) -> None:

@@ -239,8 +239,7 @@ def _check_skipped(
     skipped: dict[str, FrameSkipped],
 ) -> None:
     """Only frames that the plan leaves to the recording may be missing from it."""
-    optional = {f.id for f in plan.frames if f.bracket is not None and plan.bracketing is not None}
-    wrong = sorted((set(skipped) - optional) | (set(skipped) & set(recorded)))
+    wrong = sorted((set(skipped) - plan.optional_frames) | (set(skipped) & set(recorded)))
     if wrong:
         raise SessionError(
             f"{path / JOURNAL_FILE} says that frame {wrong[0]} was skipped, and it was recorded or "

@@ -222,7 +222,7 @@ class SessionWriter:
         self._recorded[frame_id] = event
 
     def skip(self, frame_id: str, *, reason: SkipReason, pixels: int, saturating: int) -> None:
-        """Note in the journal that a planned frame of a bracket is not needed.
+        """Note in the journal that a planned frame is not needed.
 
         Parameters
         ----------
@@ -239,8 +239,7 @@ class SessionWriter:
             The plan does not leave this frame to the recording, it is recorded already, or the
             journal cannot be written.
         """
-        planned = next((frame for frame in self._plan.frames if frame.id == frame_id), None)
-        if planned is None or planned.bracket is None or self._plan.bracketing is None:
+        if frame_id not in self._plan.optional_frames:
             raise SessionError(f"frame {frame_id} is none that the plan allows to be skipped")
         if frame_id in self._recorded or frame_id in self._skipped:
             raise SessionError(f"frame {frame_id} is recorded or skipped already")

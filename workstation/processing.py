@@ -13,6 +13,7 @@ import numpy as np
 
 from acquisition.correspondence import CorrespondenceMap, Rejection
 from acquisition.decoding import DecodingOptions, decode
+from acquisition.plan import Purpose
 from acquisition.session import Session
 from calibration.errors import CalibrationError
 from calibration.rig_geometry import RigGeometry
@@ -107,7 +108,7 @@ def process_session(
 
     done = stage("decoding")
     with interruption_held():
-        correspondence = decode(session.plan, session.read_frame, options.decoding)
+        correspondence = decode(session.plan_of(Purpose.CODE), session.read_frame, options.decoding)
     done()
     done = stage("reconstructing the surface")
     with interruption_held():

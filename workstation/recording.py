@@ -44,7 +44,7 @@ def describe_plan(plan: Plan, rig: Rig, out: Path) -> dict[str, Any]:
     counts: dict[str, int] = {}
     for frame in plan.frames:
         counts[str(frame.purpose)] = counts.get(str(frame.purpose), 0) + 1
-    optional = _optional(plan)
+    optional = len(plan.optional_frames)
     typer.echo(
         f"{len(plan.frames)} frames ("
         + ", ".join(f"{count} {purpose}" for purpose, count in counts.items())
@@ -170,14 +170,6 @@ def keeping_its_place(rig_file: RigFile, session: Session) -> RigFile:
         )
     kept = mount.model_copy(update={"start": place})
     return dataclasses.replace(rig_file, devices=rig_file.devices | {DeviceKind.MOUNT: kept})
-
-
-def _optional(plan: Plan) -> int:
-    """Frames that an adaptive bracket may leave out: all but the first of each."""
-    if plan.bracketing is None:
-        return 0
-    names = [frame.bracket for frame in plan.frames if frame.bracket is not None]
-    return len(names) - len(set(names))
 
 
 def _clock(seconds: float) -> str:
