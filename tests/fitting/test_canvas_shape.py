@@ -47,10 +47,26 @@ def test_the_standard_errors_are_what_strokes_make_of_the_shape():
         predicted.append(shape.sigma_mm)
     observed = np.std(found, axis=0)
     expected = np.sqrt(np.mean(np.square(predicted), axis=0))
-    # Forty draws know their spread to 11 %. The error of the twist errs on the safe side.
-    assert (expected / observed > 0.75).all()
-    assert (expected / observed < 1.9).all()
+    # Forty draws know their spread to 11 %.
+    np.testing.assert_allclose(expected / observed, 1, atol=0.25)
     assert (np.abs(np.mean(found, axis=0) - truth) < 0.5 * observed).all()
+
+
+def test_independent_texels_have_the_standard_errors_of_least_squares():
+    found, predicted = [], []
+    for seed in range(60):
+        rough = np.random.default_rng(seed).normal(0, 0.5, (60, 80))
+        height = warp(0.5, 0.2, -0.3, rows=60, cols=80) + rough
+        shape = measure_shape(make_copy(height).height_field)
+        found.append([shape.bow_x_mm, shape.bow_y_mm, shape.twist_mm])
+        predicted.append(shape.sigma_mm)
+    expected = np.sqrt(np.mean(np.square(predicted), axis=0))
+    np.testing.assert_allclose(expected / np.std(found, axis=0), 1, atol=0.22)
+
+
+@pytest.mark.parametrize("shape", [(1, 100), (2, 400), (300, 3), (1, 1)])
+def test_a_strip_of_texels_has_no_shape(shape):
+    assert measure_shape(make_copy(np.zeros(shape)).height_field) is None
 
 
 def test_too_little_canvas_has_no_shape():
