@@ -21,6 +21,7 @@ from fitting.canvas import Canvas
 from fitting.canvas_shape import quadric_terms, shape_of
 from fitting.depth_solver import PanelCorrection, PanelSightings, solve
 from fitting.epipolar import align_axes
+from fitting.spread_pixels import spread_pixels
 
 _PIXELS = 2000
 
@@ -54,8 +55,7 @@ def propagate_calibration(
     """
     if rig.covariance is None:
         return None
-    index = np.flatnonzero(canvas.mask & correspondence.valid)
-    index = index[:: max(1, len(index) // _PIXELS)]
+    index = spread_pixels(canvas.mask & correspondence.valid, _PIXELS)
     rt_canvas_cam = invert(canvas.rt_cam_canvas)
 
     def heights(moved: RigGeometry) -> NDArray[np.float64]:

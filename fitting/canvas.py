@@ -14,6 +14,7 @@ heights, and :mod:`fitting.canvas_shape` reports it.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -25,7 +26,9 @@ from calibration.lens import rt_from_matrix
 from fitting.canvas_kernels import find_smooth, heights_above_plane
 from fitting.canvas_region import disc, erode_outline, find_region, outline_pixels
 from fitting.errors import FittingError
+from fitting.option_limits import check_limits
 from fitting.range_image import RangeImage, neighbour_steps
+from fitting.spread_pixels import spread_pixels
 
 # Points from which planes and medians are taken, at most; more do not sharpen them.
 _POINTS = 200_000
@@ -33,6 +36,7 @@ _PLANE_POINTS = 50_000
 # Half the width of gaps over which the seed fill goes on, in pixels.
 _GAP_PX = 3
 _FEWEST = 10
+_MOST_PX = 100
 
 
 class InPlaneAxes(StrEnum):
@@ -71,6 +75,11 @@ class CanvasOptions:
     rectangle_fill : float
         Share of its smallest enclosing rectangle that a mask must fill for its edges to set X
         and Y.
+
+    Raises
+    ------
+    FittingError
+        A value out of bounds.
     """
 
     maximum_slope: float = 2.0
@@ -82,6 +91,19 @@ class CanvasOptions:
     seed_window: float = 0.2
     bridge_px: int = 2
     rectangle_fill: float = 0.85
+
+    def __post_init__(self) -> None:
+        check_limits(
+            self,
+            maximum_slope=(0.01, 100),
+            sigmas=(0, math.inf),
+            spike_sigmas=(0, math.inf),
+            sigma_ratio=(1, math.inf),
+            erosion_px=(0, _MOST_PX),
+            seed_window=(0.001, 1),
+            bridge_px=(0, _MOST_PX),
+            rectangle_fill=(0, 1),
+        )
 
 
 @dataclass(frozen=True)
@@ -167,10 +189,8 @@ def extract_canvas(range_image: RangeImage, options: CanvasOptions | None = None
 
 
 def _thinned(values: NDArray[np.floating], mask: NDArray[np.bool_]) -> NDArray[np.floating]:
-    """Values at a regular choice of the mask's pixels."""
-    index = np.flatnonzero(mask)
-    index = index[:: max(1, len(index) // _POINTS)]
-    return values.reshape(mask.size, *values.shape[2:])[index]
+    """Values at pixels spread over the mask."""
+    return values.reshape(mask.size, *values.shape[2:])[spread_pixels(mask, _POINTS)]
 
 
 def _point_spacing(

@@ -110,7 +110,7 @@ def _label(mask: NDArray[np.bool_]) -> _Regions:
 
 def _at_seed(regions: _Regions, seed: tuple[int, int]) -> int:
     rows, cols = regions.labels.shape
-    row, col = seed
+    row, col = (int(place) for place in seed)
     if not (0 <= row < rows and 0 <= col < cols):
         raise FittingError(f"the seed pixel ({row}, {col}) is outside the {rows} × {cols} picture")
     reach = max(rows, cols) // 50

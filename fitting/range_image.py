@@ -9,6 +9,7 @@ models gives z, and the decoding variances give
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +20,12 @@ from calibration.rig_geometry import RigGeometry
 from fitting.depth_solver import AXES, Depths, PanelCorrection, PanelSightings, solve
 from fitting.epipolar import align_axes, repair_orders
 from fitting.errors import FittingError
+from fitting.option_limits import check_limits
+from fitting.spread_pixels import spread_pixels
 from fitting.triangulation_kernels import find_supported, place_points
+
+# Pixels by which the axes are aligned.
+_SAMPLES = 100_000
 
 
 @dataclass(frozen=True)
@@ -33,7 +39,7 @@ class RangeImage:
     depth_variance : (rows, cols) float32 array
         Variance of the depth z in mm²; infinite where rejected. The point moves along its viewing
         ray ``points / z`` when z does.
-    rejection : (rows, cols) uint8 array
+    rejection : (rows, cols) uint16 array
         :class:`~acquisition.correspondence.Rejection` bits.
     focal_px : float
         Focal length of the camera, which turns depth into the spacing of the points.
@@ -44,7 +50,7 @@ class RangeImage:
 
     points: NDArray[np.float64]
     depth_variance: NDArray[np.float32]
-    rejection: NDArray[np.uint8]
+    rejection: NDArray[np.uint16]
     focal_px: float
     misalignment_px: float
 
@@ -73,6 +79,11 @@ class RangeOptions:
         belong to.
     agreeing_share : float
         Share of a pixel's 5 × 5 neighbourhood that must lie on its surface.
+
+    Raises
+    ------
+    FittingError
+        A value out of bounds.
     """
 
     epipolar_tolerance_px: float = 2.0
@@ -80,6 +91,15 @@ class RangeOptions:
     sigmas: float = 6.0
     maximum_slope: float = 5.0
     agreeing_share: float = 0.3
+
+    def __post_init__(self) -> None:
+        check_limits(
+            self,
+            epipolar_tolerance_px=(0, math.inf),
+            sigmas=(0, math.inf),
+            maximum_slope=(0, math.inf),
+            agreeing_share=(0, 1),
+        )
 
 
 def triangulate(
@@ -111,17 +131,17 @@ def triangulate(
     correction, misalignment = PanelCorrection.none(), 0.0
     both = len(correspondence.axes) == 2
     if both:
-        alignment = align_axes(sightings.take(_spread(use)), rig)
+        alignment = align_axes(sightings.take(spread_pixels(use, _SAMPLES)), rig)
         correction, misalignment = alignment.correction, alignment.rms_px
     solved = solve(sightings, rig, correction)
-    reasons = np.where(np.isfinite(solved.depth), 0, Rejection.NO_INTERSECTION).astype(np.uint8)
+    reasons = np.where(np.isfinite(solved.depth), 0, Rejection.NO_INTERSECTION).astype(np.uint16)
     if both:
         off = _contradictory(sightings, solved.misfit, use, options)
         if options.repair_orders and len(off):
             solved = _resolve(sightings, solved, off, correspondence, rig, correction, options)
             reasons[off] = np.where(np.isfinite(solved.depth[off]), 0, Rejection.NO_INTERSECTION)
             off = off[_contradictory(sightings.take(off), solved.misfit[off], use[off], options)]
-        reasons[off] |= np.uint8(Rejection.OFF_EPIPOLAR)
+        reasons[off] |= np.uint16(Rejection.OFF_EPIPOLAR)
 
     shape = correspondence.shape
     rejection = correspondence.rejection | (use * reasons).reshape(shape)
@@ -136,7 +156,7 @@ def triangulate(
         options.sigmas,
         options.agreeing_share,
     )
-    rejection[valid & ~supported] |= np.uint8(Rejection.OUTLIER)
+    rejection[valid & ~supported] |= np.uint16(Rejection.OUTLIER)
     valid = rejection == 0
     if valid.sum() < 10:
         raise FittingError(
@@ -146,12 +166,6 @@ def triangulate(
     variance[~valid] = np.inf
     points = place_points(sightings.slopes.reshape(*shape, 2), depth, valid)
     return RangeImage(points, variance, rejection, focal, misalignment)
-
-
-def _spread(use: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Indices of usable pixels, at most some hundred thousand, from all over the picture."""
-    index = np.flatnonzero(use)
-    return index[:: max(1, len(index) // 100_000)]
 
 
 def _tolerance(sightings: PanelSightings, options: RangeOptions) -> NDArray[np.float32]:

@@ -12,6 +12,7 @@ noise nothing is averaged and the paper's rule is left.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -20,9 +21,11 @@ from numpy.typing import NDArray
 
 from fitting.errors import FittingError
 from fitting.height_field import HeightField
+from fitting.option_limits import check_limits
 from fitting.relief import Relief, ReliefBoxes
 
 _BINS = 256
+_LARGEST_CELL = 16384
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +44,11 @@ class ReliefOptions:
         Connected significant relief smaller than this is dropped.
     noise_share : float
         Share of δ0 that the noise of the classified heights may reach.
+
+    Raises
+    ------
+    FittingError
+        A threshold, a cell size or a limit that makes no sense.
     """
 
     delta0_mm: float | None = None
@@ -48,6 +56,18 @@ class ReliefOptions:
     cell: int = 20
     smallest_mm2: float = 1.0
     noise_share: float = 0.2
+
+    def __post_init__(self) -> None:
+        if self.delta0_mm is not None and not math.isfinite(self.delta0_mm):
+            raise FittingError(f"δ0 must be a finite height, not {self.delta0_mm} mm")
+        check_limits(
+            self, cell=(1, _LARGEST_CELL), smallest_mm2=(0, math.inf), noise_share=(0, math.inf)
+        )
+        least, greatest = self.share_of_height
+        if not 0 <= least <= greatest <= 1:
+            raise FittingError(
+                f"share_of_height = {least}, {greatest}; shares of H rise from 0 to 1"
+            )
 
 
 def classify_relief(field: HeightField, options: ReliefOptions | None = None) -> Relief:
@@ -63,17 +83,8 @@ def classify_relief(field: HeightField, options: ReliefOptions | None = None) ->
     Returns
     -------
     Relief
-
-    Raises
-    ------
-    FittingError
-        A threshold or cell size that makes no sense.
     """
     options = options or ReliefOptions()
-    if options.cell < 1:
-        raise FittingError(f"a cell has at least one texel, not {options.cell}")
-    if options.delta0_mm is not None and not np.isfinite(options.delta0_mm):
-        raise FittingError(f"δ0 must be a finite height, not {options.delta0_mm} mm")
     delta0, proposed, smoothed = _threshold(field, options)
     valid = field.mask & (smoothed > delta0)
     least = max(1, round(options.smallest_mm2 / field.pitch_mm**2))

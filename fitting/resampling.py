@@ -40,6 +40,9 @@ _UNRESOLVED_SHARE = 0.7
 # How much the variance may exceed that of the samples' mean.
 _LARGEST_MAGNIFICATION = 9.0
 _LARGEST_SIDE = 16384
+# Texels to a point, and points or texels to a radius, beyond which time is spent on nothing.
+_MOST_TEXELS_A_POINT = 10
+_WIDEST = 50
 # Rows on which the correlation of neighbours is measured, at most.
 _CORRELATED_ROWS = 400
 
@@ -72,13 +75,19 @@ def resample_heights(
     Raises
     ------
     FittingError
-        The pitch or footprint asked for is not positive, or the pitch makes a grid of more than
-        16384 texels a side.
+        The pitch asked for is not positive, finer than a tenth of the points' spacing, or makes a
+        grid of more than 16384 texels a side; or the footprint is not positive, or wider than
+        fifty pitches and spacings.
     """
     spacing = point_spacing_mm(range_image, canvas)
     pitch = float(np.sqrt(spacing[0] * spacing[1])) if pitch_mm is None else float(pitch_mm)
     if not (np.isfinite(pitch) and pitch > 0):
         raise FittingError(f"the pitch must be positive, not {pitch_mm} mm")
+    if pitch < max(spacing) / _MOST_TEXELS_A_POINT:
+        raise FittingError(
+            f"a pitch of {pitch:g} mm is finer than a tenth of the points' spacing of "
+            f"{max(spacing):.3g} mm, and they tell no more; ask for a coarser one"
+        )
     place, heights, variance = canvas_samples(range_image, canvas)
     low = np.array([np.nanmin(place[..., axis]) for axis in (0, 1)])
     high = np.array([np.nanmax(place[..., axis]) for axis in (0, 1)])
@@ -157,9 +166,19 @@ def footprint_radius_mm(
     Twice the pitch or the points' spacing, whichever is larger, or what was asked for if that is
     larger still. The heights' resolution, the full width at half maximum of what a point makes of
     the surface, is about three quarters of the radius.
+
+    Raises
+    ------
+    FittingError
+        The footprint asked for is not positive, or too wide.
     """
     if footprint_mm is not None and not (np.isfinite(footprint_mm) and footprint_mm > 0):
         raise FittingError(f"the footprint must be positive, not {footprint_mm} mm")
+    if footprint_mm is not None and footprint_mm > _WIDEST * max(pitch_mm, *spacing_mm):
+        raise FittingError(
+            f"a footprint of {footprint_mm:g} mm spans more than {_WIDEST} texels and points; ask "
+            "for a coarser pitch with it"
+        )
     x, y = (max(_RADIUS * max(pitch_mm, s), footprint_mm or 0.0) for s in spacing_mm)
     return x, y
 

@@ -18,6 +18,9 @@ from fitting.relief_classification import ReliefOptions, classify_relief
 from fitting.resampling import footprint_radius_mm, point_spacing_mm, resample_heights
 from fitting.surface_noise import SurfaceNoise, measure_surface_noise, slope_error_ratio
 
+# Errors of good calibrations across the baseline are a few tenths of a pixel.
+_LARGEST_MISALIGNMENT_PX = 2.0
+
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceOptions:
@@ -69,8 +72,15 @@ class Surface:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What was ambiguous on the way."""
-        return self.canvas.warnings
+        """What was ambiguous or doubtful on the way."""
+        off = self.range_image.misalignment_px
+        if off <= _LARGEST_MISALIGNMENT_PX:
+            return self.canvas.warnings
+        doubt = (
+            f"decoded columns and rows disagree by {off:.1f} px (RMS) of what the calibration "
+            "says: it belongs to another rig, or the rig was moved; heights may be off in scale"
+        )
+        return (*self.canvas.warnings, doubt)
 
 
 def reconstruct_surface(

@@ -111,7 +111,7 @@ def make_range_image(
     image = RangeImage(
         depth[..., np.newaxis] * rays,
         np.where(seen, max(sigma, 1e-4) ** 2, np.inf).astype(np.float32),
-        np.where(seen, 0, int(Rejection.LOW_MODULATION)).astype(np.uint8),
+        np.where(seen, 0, int(Rejection.LOW_MODULATION)).astype(np.uint16),
         focal,
         0.0,
     )
@@ -164,7 +164,7 @@ def correspond(rig, relief, *, sigma=0.05, seed=0, axes=tuple(Axis), shape=(240,
         variance = np.full(shape, max(sigma, 1e-4) ** 2, np.float32)
         modulation = np.full(shape, 100, np.float32)
         decoded[axis] = AxisCoordinate(at, variance, modulation, 32.0, 1.0)
-    nothing = np.zeros(shape, np.uint8)
+    nothing = np.zeros(shape, np.uint16)
     ambient = np.full(shape, 100, np.float32)
     return CorrespondenceMap(decoded, ambient, nothing, (0, 0), 1.0), points
 

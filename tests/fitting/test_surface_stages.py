@@ -14,6 +14,7 @@ from fitting.errors import FittingError
 from fitting.neighbour_kernels import triangle_normals
 from fitting.range_image import triangulate
 from fitting.resampling import resample_heights
+from fitting.surface import reconstruct_surface
 from fitting.surface_noise import measure_surface_noise
 from fitting.triangulation_kernels import find_supported
 
@@ -82,6 +83,17 @@ def test_a_bent_calibration_across_the_baseline_does_not_bend_the_surface(rig_ge
     )
     error = (found.points[..., 2] - points[..., 2])[found.valid]
     assert np.abs(error).max() < 8 * np.sqrt(np.median(found.depth_variance))
+
+
+@pytest.mark.parametrize(("off_px", "doubted"), [(0.5, False), (4.0, True)])
+def test_a_calibration_that_contradicts_the_rows_is_doubted(rig_geometry, off_px, doubted):
+    exact, _ = correspond(rig_geometry, framed, sigma=0.02)
+    row = exact.axes[Axis.ROW]
+    moved = dataclasses.replace(row, coordinate=row.coordinate + off_px)
+    axes = {**exact.axes, Axis.ROW: moved}
+    surface = reconstruct_surface(dataclasses.replace(exact, axes=axes), rig_geometry)
+    assert any("columns and rows disagree" in w for w in surface.warnings) == doubted
+    assert surface.range_image.rejection.dtype == np.uint16
 
 
 def test_a_foreign_calibration_is_refused(rig_geometry):

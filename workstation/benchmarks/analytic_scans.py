@@ -63,4 +63,4 @@ def scan_of(rig: RigGeometry, *, seed: int = 0) -> CorrespondenceMap:
         axis: AxisCoordinate(np.ascontiguousarray(panel[..., i]), variance, level, 24.0, 1.0)
         for i, axis in enumerate((Axis.COLUMN, Axis.ROW))
     }
-    return CorrespondenceMap(axes, level, np.zeros(shape, np.uint8), (0, 0), 1.0)
+    return CorrespondenceMap(axes, level, np.zeros(shape, np.uint16), (0, 0), 1.0)
