@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +52,12 @@ def describe_plan(plan: Plan, rig: Rig, out: Path) -> dict[str, Any]:
         + ")"
         + (f", of which up to {optional} may turn out not to be needed" if optional else "")
     )
+    if plan.metering is not None:
+        rule = plan.metering
+        typer.echo(
+            f"metered for {rule.column_sigma_px:.3g} px of the panel's columns, "
+            f"{rule.row_sigma_px:.3g} px of its rows"
+        )
     typer.echo(
         f"about {_clock(duration.total_s)}: frames {_clock(duration.frames_s)}, light arm "
         f"{_clock(duration.light_s)}, by hand {_clock(duration.by_hand_s)}"
@@ -121,6 +128,8 @@ def report_session(path: Path) -> dict[str, Any]:
     saturated = max((frame.saturated for frame in frames), default=0.0)
     skipped = f", {len(session.skipped)} not needed" if session.skipped else ""
     typer.echo(f"{path}: {len(session.recorded)} frames{skipped}")
+    for reason, count in Counter(str(e.reason) for e in session.skipped.values()).items():
+        typer.echo(f"  {count}: {reason}")
     if worst is not None:
         typer.echo(f"the lamp drifted by {100 * worst:.2f} % at most")
     typer.echo(f"look at {path / CONTACT_SHEET_FILE}")

@@ -1,13 +1,17 @@
-"""Acquisition: what a merged bracket is worth, and how fast a scan is put on the disk.
+"""Acquisition: what a merged bracket is worth, what is left out, and how fast a scan is recorded.
 
 Brackets are simulated here, by the Poisson and read-out noise of a plain sensor. A scan of the
 simulated oil painting at three megapixels is recorded once; then it is recorded again in a process
 of its own, by devices that answer from raw samples at once, without any exposure during which work
 could be done. All of that is timed: checks of every frame, compression, digests, flushes, journal.
+A metered scan is recorded in the same way for its memory.
+
+What scans may leave out, the torture piece and the projector's response have modules of their own.
 """
 
 from __future__ import annotations
 
+import os
 import resource
 import time
 from concurrent.futures import ProcessPoolExecutor
@@ -23,7 +27,7 @@ from numpy.typing import NDArray
 from acquisition.errors import SessionError
 from acquisition.exposure_ratios import estimate_exposures
 from acquisition.hdr import merge_bracket, variance_bound
-from acquisition.plan import Plan
+from acquisition.plan import Metering, Plan
 from acquisition.recorded_frames import recording_of
 from acquisition.recording import record_plan
 from acquisition.sample_noise import SampleNoise
@@ -34,6 +38,9 @@ from devices.replay import replay_rig
 from devices.rig import Rig
 from devices.simulated.settings import PaintingKind, SimulationSettings
 from workstation.benchmark_records import Record, Sense
+from workstation.benchmarks.frames_against_error import compare_plans, draw_outcomes, skip_records
+from workstation.benchmarks.response_capture import CAPTURE, gamma_record
+from workstation.benchmarks.torture_decoding import hdr_records
 
 _FULL_WELL_E, _READ_E, _BLACK, _CEILING = 10_000.0, 8.0, 32.0, 4095
 _GAIN = _CEILING / _FULL_WELL_E
@@ -42,11 +49,26 @@ _TIMES_S = (1.0, 4.0, 16.0)
 _WRONG_BY = (0.85, 1.15)
 _EXPOSURES_S = (1 / 60, 3 / 60, 9 / 60)
 _RUNS = 5
+_PICTURE = "frames-against-error.png"
 
 
-def bench() -> list[Record]:
-    """Variance and bias of a merge, ratios of exposures, speed and memory of a recording."""
-    return [*_merge_records(), _ratio_record(), *_recording_records()]
+def bench(*, pictures: Path | None = None) -> list[Record]:
+    """Merging, exposure ratios, response, skipping, and speed and memory of a recording.
+
+    Parameters
+    ----------
+    pictures : Path, optional
+        Folder for the picture of frames against error.
+    """
+    records = [*_merge_records(), _ratio_record(), *_recording_records(), *hdr_records()]
+    outcomes = compare_plans()
+    records += skip_records(outcomes)
+    if pictures is not None:
+        draw_outcomes(outcomes, pictures / _PICTURE)
+    data = os.environ.get("IMPASTO_REAL_DATA")
+    if data:
+        records.append(gamma_record(Path(data) / CAPTURE))
+    return records
 
 
 def _expose(
@@ -143,6 +165,7 @@ def _recording_records() -> list[Record]:
     with TemporaryDirectory() as folder:
         _in_a_process(_record_oil_scan, Path(folder) / "scan")
         runs = [_in_a_process(_record_again, Path(folder) / "scan") for _ in range(_RUNS)]
+        metered = _in_a_process(_record_again, Path(folder) / "scan", Metering())
     best = min(runs, key=lambda run: run.seconds)
     spread = ", ".join(f"{run.frames / run.seconds:.1f}" for run in runs)
     return [
@@ -164,6 +187,14 @@ def _recording_records() -> list[Record]:
             sense=Sense.AT_MOST,
             runs=_RUNS,
             note="of the whole process that records",
+        ),
+        Record(
+            name="record.metered_peak_mb",
+            value=metered.peak_mb,
+            unit="MB",
+            bound=1000.0,
+            sense=Sense.AT_MOST,
+            note=f"the same of a metered scan, of {metered.frames} of {best.frames} frames",
         ),
     ]
 
@@ -188,21 +219,23 @@ def _raw_file(session: Path, frame_id: str) -> Path:
     return session.parent / f"{frame_id}.npy"
 
 
-def _record_again(source: Path) -> _Recorded:
+def _record_again(source: Path, metering: Metering | None = None) -> _Recorded:
     session = Session.open(source)
     recording = replace(
         recording_of(session), load=lambda frame: np.load(_raw_file(source, frame.id))
     )
+    plan = session.plan.model_copy(update={"metering": metering})
     with TemporaryDirectory(dir=source.parent) as folder:
         out = Path(folder) / "again"
         wall, cpu = time.perf_counter(), time.process_time()
-        _record(out, session.plan, replay_rig(recording))
+        _record(out, plan, replay_rig(recording))
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-        if Session.open(out).digest != session.digest:
+        again = Session.open(out)
+        if metering is None and again.digest != session.digest:
             raise SessionError(f"{out} came out otherwise than {source}: its time means nothing")
         size = sum(file.stat().st_size for file in (out / "frames").iterdir())
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return _Recorded(len(session.plan.frames), wall, cpu, peak_mb, size / 1e6)
+    return _Recorded(len(again.recorded), wall, cpu, peak_mb, size / 1e6)
 
 
 def _record(out: Path, plan: Plan, rig: Rig) -> None:

@@ -29,6 +29,10 @@ def register(app: typer.Typer) -> None:
 def bench(
     which: Annotated[Benchmark, typer.Argument(help="What to measure.")],
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write records here.")] = None,
+    pictures: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", exists=True, file_okay=False, help="Draw its pictures here."),
+    ] = None,
 ) -> None:
     """Measure a stage and hold its figures against their bounds.
 
@@ -39,10 +43,14 @@ def bench(
         impasto bench surface --json surface.json
     """
     import importlib
+    import inspect
 
     from workstation.benchmark_records import print_records
     from workstation.json_output import write_json
 
-    records = importlib.import_module(f"workstation.benchmarks.{which}").bench()
+    measure = importlib.import_module(f"workstation.benchmarks.{which}").bench
+    if pictures is not None and "pictures" not in inspect.signature(measure).parameters:
+        raise typer.BadParameter(f"{which} draws none", param_hint="--pictures")
+    records = measure() if pictures is None else measure(pictures=pictures)
     print_records(records)
     write_json(json, [record.as_json() for record in records])
