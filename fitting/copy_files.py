@@ -2,8 +2,8 @@
 
 ``copy.json`` holds size, pose, relief parameters, boxes and provenance; ``relief.exr`` height, n_x,
 n_y and the mask; ``uncertainty.exr`` the standard errors of height and slope; ``diffuse.exr``,
-``specular.exr`` and ``lobe.exr`` the reflectance, where it was measured. See
-``docs/file-formats.md``.
+``specular.exr`` and ``lobe.exr`` the reflectance, where it was measured, and
+``reflectance-quality.exr`` how well it is known. See ``docs/file-formats.md``.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import OpenEXR
 from numpy.typing import NDArray
 
 from acquisition.atomic_files import folder_in_progress
-from fitting.digital_copy import DigitalCopy, ReflectanceMaps
+from fitting.digital_copy import DigitalCopy, ReflectanceMaps, ReflectanceQuality
 from fitting.errors import CopyError, FittingError
 from fitting.height_field import HeightField
 from fitting.relief import Relief, ReliefBoxes
@@ -25,6 +25,17 @@ from fitting.relief import Relief, ReliefBoxes
 FORMAT = "impasto-copy-1"
 COPY_FILE = "copy.json"
 _REFLECTANCE = {"diffuse": "RGB", "specular": "RGB", "lobe": "CXYK"}
+_QUALITY_FILE = "reflectance-quality.exr"
+_QUALITY = {
+    "diffuse_sigma": ("diffuse.R", "diffuse.G", "diffuse.B"),
+    "specular_sigma": ("specular.R", "specular.G", "specular.B"),
+    "lobe_sigma": ("ln_k", "ln_r", "ln_c"),
+    "residual": ("residual",),
+    "samples": ("samples",),
+    "flags": ("flags",),
+}
+_WHOLE_NUMBERS = {"samples", "flags"}
+_LARGEST_HALF = float(np.finfo(np.float16).max)
 
 
 def write_copy(copy: DigitalCopy, path: Path, *, replace: bool = False) -> None:
@@ -41,7 +52,8 @@ def write_copy(copy: DigitalCopy, path: Path, *, replace: bool = False) -> None:
     Raises
     ------
     CopyError
-        ``path`` exists and is not to be replaced, or is no copy.
+        ``path`` exists and is not to be replaced, or is no copy; or a reflectance is beyond what
+        half floats hold.
     """
     path = Path(path)
     check_destination(path, replace=replace)
@@ -58,11 +70,7 @@ def write_copy(copy: DigitalCopy, path: Path, *, replace: bool = False) -> None:
         sigma = {"height": np.sqrt(field.variance), "slope": copy.slope_sigma}
         _write_exr(folder / "uncertainty.exr", {k: v.astype(np.float16) for k, v in sigma.items()})
         if copy.reflectance is not None:
-            for name, channels in _REFLECTANCE.items():
-                array = getattr(copy.reflectance, name).astype(np.float16)
-                _write_exr(
-                    folder / f"{name}.exr", {c: array[..., i] for i, c in enumerate(channels)}
-                )
+            _write_reflectance(folder, copy.reflectance)
         (folder / COPY_FILE).write_text(json.dumps(_header(copy), indent=1, allow_nan=False))
 
 
@@ -119,12 +127,12 @@ def read_copy(path: Path) -> DigitalCopy:
                 header.get("proposed_delta0_mm"),
             ),
             sigma["slope"].astype(np.float32),
-            _read_reflectance(path) if header["reflectance"] else None,
+            _read_reflectance(path, header) if header["reflectance"] else None,
             header["provenance"],
         )
     except FittingError as error:
         raise CopyError(f"{path}: {error}") from None
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
         raise CopyError(f"{path / COPY_FILE}: {type(error).__name__} at {error}") from None
 
 
@@ -151,6 +159,8 @@ def _header(copy: DigitalCopy) -> dict[str, Any]:
             "peak": relief.boxes.peak.tolist(),
         },
         "reflectance": copy.reflectance is not None,
+        "reflectance_quality": copy.reflectance is not None
+        and copy.reflectance.quality is not None,
         "provenance": copy.provenance,
     }
 
@@ -172,12 +182,48 @@ def _read_header(path: Path) -> dict[str, Any]:
     return dict(header)
 
 
-def _read_reflectance(path: Path) -> ReflectanceMaps:
+def _write_reflectance(folder: Path, maps: ReflectanceMaps) -> None:
+    for name, channels in _REFLECTANCE.items():
+        array = getattr(maps, name)
+        if np.abs(array).max() > _LARGEST_HALF:
+            raise CopyError(
+                f"{name} reaches {np.abs(array).max():g}, and the copy's files hold no more than "
+                f"{_LARGEST_HALF:g}: radiance is to be relative to a white reference"
+            )
+        array = array.astype(np.float16)
+        _write_exr(folder / f"{name}.exr", {c: array[..., i] for i, c in enumerate(channels)})
+    if maps.quality is None:
+        return
+    layers: dict[str, NDArray[Any]] = {}
+    for name, array in maps.quality.arrays.items():
+        whole = name in _WHOLE_NUMBERS
+        # A standard error beyond the largest half says no more than the largest half does.
+        limit = np.iinfo(np.uint16).max if whole else _LARGEST_HALF
+        stored = np.minimum(array, limit).astype(np.uint32 if whole else np.float16)
+        stored = stored.reshape(*array.shape[:2], -1)
+        layers |= {channel: stored[..., i] for i, channel in enumerate(_QUALITY[name])}
+    _write_exr(folder / _QUALITY_FILE, layers)
+
+
+def _read_reflectance(path: Path, header: dict[str, Any]) -> ReflectanceMaps:
     maps = {}
     for name, channels in _REFLECTANCE.items():
         layers = _read_exr(path / f"{name}.exr", tuple(channels))
         maps[name] = np.stack([layers[c] for c in channels], axis=-1).astype(np.float32)
-    return ReflectanceMaps(**maps)
+    # Copies of earlier versions lack it.
+    known = header.get("reflectance_quality", False)
+    return ReflectanceMaps(**maps, quality=_read_quality(path) if known else None)
+
+
+def _read_quality(path: Path) -> ReflectanceQuality:
+    names = tuple(name for channels in _QUALITY.values() for name in channels)
+    layers = _read_exr(path / _QUALITY_FILE, names)
+    maps = {}
+    for name, channels in _QUALITY.items():
+        kind = np.uint16 if name in _WHOLE_NUMBERS else np.float32
+        stacked = np.stack([layers[channel] for channel in channels], axis=-1).astype(kind)
+        maps[name] = stacked if len(channels) > 1 else stacked[..., 0]
+    return ReflectanceQuality(**maps)
 
 
 def _write_exr(path: Path, channels: dict[str, NDArray[Any]]) -> None:

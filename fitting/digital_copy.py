@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,37 @@ from numpy.typing import NDArray
 from fitting.errors import FittingError
 from fitting.height_field import HeightField
 from fitting.relief import Relief
+
+
+@dataclass(frozen=True)
+class ReflectanceQuality:
+    """How well each texel's reflectance is known. Everything is finite, in gaps too.
+
+    Attributes
+    ----------
+    diffuse_sigma, specular_sigma : (rows, cols, 3) float32 array
+        Standard errors of ρ_d and ρ_s.
+    lobe_sigma : (rows, cols, 3) float32 array
+        Standard errors of ln k, of ln(C_z / |C_x|) and of ln(C_y / C_x).
+    residual : (rows, cols) float32 array
+        RMS of radiance over irradiance that the lobe leaves of the samples, 1/sr.
+    samples : (rows, cols) uint16 array
+        Photographs behind the texel.
+    flags : (rows, cols) uint16 array
+        Bits of :class:`~fitting.reflectance.flags.TexelFlag`.
+    """
+
+    diffuse_sigma: NDArray[np.float32]
+    specular_sigma: NDArray[np.float32]
+    lobe_sigma: NDArray[np.float32]
+    residual: NDArray[np.float32]
+    samples: NDArray[np.uint16]
+    flags: NDArray[np.uint16]
+
+    @property
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Every map by its name."""
+        return {item.name: getattr(self, item.name) for item in fields(self)}
 
 
 @dataclass(frozen=True)
@@ -25,11 +56,14 @@ class ReflectanceMaps:
         ρ_d and ρ_s, linear RGB.
     lobe : (rows, cols, 4) float32 array
         C_x, C_y, C_z and k.
+    quality : ReflectanceQuality or None
+        None where it is not known.
     """
 
     diffuse: NDArray[np.float32]
     specular: NDArray[np.float32]
     lobe: NDArray[np.float32]
+    quality: ReflectanceQuality | None = None
 
 
 @dataclass(frozen=True)
@@ -78,6 +112,11 @@ class DigitalCopy:
                 "specular": self.reflectance.specular,
                 "lobe": self.reflectance.lobe,
             }
+            if self.reflectance.quality is not None:
+                quality = self.reflectance.quality.arrays
+                triple = ("diffuse_sigma", "specular_sigma", "lobe_sigma")
+                expected |= {name: (*shape, 3) if name in triple else shape for name in quality}
+                arrays |= quality
         for name, array in arrays.items():
             if array.shape != expected[name]:
                 raise FittingError(

@@ -9,7 +9,7 @@ import pytest
 from synthetic_copy import make_copy, strokes
 
 from fitting.copy_files import read_copy, write_copy
-from fitting.digital_copy import ReflectanceMaps
+from fitting.digital_copy import DigitalCopy, ReflectanceMaps, ReflectanceQuality
 from fitting.errors import CopyError, FittingError
 from fitting.height_field import HeightField
 from fitting.relief_classification import ReliefOptions, classify_relief
@@ -147,3 +147,56 @@ def test_height_fields_refuse_what_is_no_height(copy):
         with pytest.raises(FittingError, match=message):
             dataclasses.replace(field, **change)
     assert isinstance(field, HeightField)
+
+
+def with_quality(copy: DigitalCopy) -> DigitalCopy:
+    random = np.random.default_rng(3)
+    shape = copy.height_field.shape
+
+    def triple() -> np.ndarray:
+        return random.random((*shape, 3)).astype(np.float32)
+
+    quality = ReflectanceQuality(
+        *(triple() for _ in range(3)),
+        random.random(shape).astype(np.float32),
+        random.integers(0, 400, shape).astype(np.uint16),
+        random.integers(0, 512, shape).astype(np.uint16),
+    )
+    lobe = random.uniform(0.5, 200, (*shape, 4)).astype(np.float32)
+    return dataclasses.replace(copy, reflectance=ReflectanceMaps(triple(), triple(), lobe, quality))
+
+
+def test_what_is_known_of_the_reflectance_survives_the_disk(copy, tmp_path):
+    copy = with_quality(copy)
+    write_copy(copy, tmp_path / "copy")
+    again = read_copy(tmp_path / "copy").reflectance.quality
+    for name, array in copy.reflectance.quality.arrays.items():
+        other = getattr(again, name)
+        assert other.dtype == array.dtype
+        assert other == pytest.approx(array, rel=1e-3, abs=1e-6)
+
+
+def test_a_copy_of_before_has_reflectance_of_unknown_quality(copy, tmp_path):
+    write_copy(with_quality(copy), tmp_path / "copy")
+    header = json.loads((tmp_path / "copy" / "copy.json").read_text())
+    del header["reflectance_quality"]
+    (tmp_path / "copy" / "copy.json").write_text(json.dumps(header))
+    (tmp_path / "copy" / "reflectance-quality.exr").unlink()
+    assert read_copy(tmp_path / "copy").reflectance.quality is None
+
+
+def test_radiance_on_a_wild_scale_is_refused_and_nothing_written(copy, tmp_path):
+    copy = with_quality(copy)
+    wild = dataclasses.replace(copy.reflectance, diffuse=copy.reflectance.diffuse * 1e6)
+    with pytest.raises(CopyError, match="white reference"):
+        write_copy(dataclasses.replace(copy, reflectance=wild), tmp_path / "copy")
+    assert not (tmp_path / "copy").exists()
+
+
+def test_standard_errors_beyond_half_floats_stay_finite(copy, tmp_path):
+    copy = with_quality(copy)
+    copy.reflectance.quality.specular_sigma[3, 4] = 1e20
+    write_copy(copy, tmp_path / "copy")
+    again = read_copy(tmp_path / "copy").reflectance.quality
+    assert np.isfinite(again.specular_sigma).all()
+    assert again.specular_sigma[3, 4].min() > 6e4

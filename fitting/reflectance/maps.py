@@ -1,0 +1,201 @@
+"""Reflectance maps of a copy: its texels fitted tile by tile under one palette of materials."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from fitting.digital_copy import ReflectanceMaps, ReflectanceQuality
+from fitting.errors import FittingError
+from fitting.reflectance.back_projection import PhotographSampler, Tile
+from fitting.reflectance.clusters import ClusterOptions, Palette, find_materials, fit_tile
+from fitting.reflectance.flags import TexelFlag
+from fitting.reflectance.samples import RadianceSamples
+from fitting.reflectance.solver import DEFAULT_OPTIONS, SolverOptions, TexelFits
+
+_BLOCK = 12  # texels a side of the blocks that are surveyed
+_SURVEY = 1.5  # times as many texels are looked at as are surveyed; some have no samples
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapOptions:
+    """How the maps are fitted.
+
+    Attributes
+    ----------
+    clusters : ClusterOptions
+    solver : SolverOptions
+    """
+
+    clusters: ClusterOptions = field(default_factory=ClusterOptions)
+    solver: SolverOptions = DEFAULT_OPTIONS
+
+
+@dataclass(frozen=True)
+class FittedReflectance:
+    """Maps, and what they came from.
+
+    Attributes
+    ----------
+    maps : ReflectanceMaps
+        With their quality.
+    palette : Palette
+        The materials found.
+    texels : int
+        Texels fitted.
+    """
+
+    maps: ReflectanceMaps
+    palette: Palette
+    texels: int
+
+
+def fit_maps(
+    sampler: PhotographSampler,
+    *,
+    options: MapOptions | None = None,
+    guarded: Callable[[], AbstractContextManager[None]] = nullcontext,
+    advance: Callable[[float], None] = lambda share: None,
+) -> FittedReflectance:
+    """Fit a lobe to every measured texel of a copy.
+
+    Texels without a sample, in shadow under every lamp say, and gaps take the values of the nearest
+    fitted texel, so that interpolation meets no hole; the flag ``NO_SAMPLES`` tells.
+
+    Parameters
+    ----------
+    sampler : PhotographSampler
+    options : MapOptions, optional
+    guarded : callable, optional
+        Makes the context in which each tile is worked on, to hold interruptions off.
+    advance : callable, optional
+        Called with the share of texels done.
+
+    Returns
+    -------
+    FittedReflectance
+
+    Raises
+    ------
+    FittingError
+        No texel has a sample.
+    """
+    options = options or MapOptions()
+    with guarded():
+        survey = survey_samples(sampler, options.clusters)
+        palette = find_materials(survey, cluster_options=options.clusters, options=options.solver)
+    mask = sampler.copy.height_field.mask
+    maps = _empty_maps(mask.shape)
+    done, total = 0, int(mask.sum())
+    for tile in sampler.tiles():
+        with guarded():
+            samples = sampler.samples(tile)
+            fits = fit_tile(samples, palette, options=options.solver)
+            _store(maps, tile, mask[tile.slices], samples, fits)
+        done += samples.texels
+        advance(done / total)
+    assert maps.quality is not None  # made just above
+    fitted = mask & (maps.quality.samples > 0)
+    if not fitted.any():
+        raise FittingError(
+            f"none of {total} texels has a sample: do the photographs show the canvas, and do the "
+            "lamps stand before it?"
+        )
+    return FittedReflectance(_without_holes(maps, fitted), palette, total)
+
+
+def survey_samples(sampler: PhotographSampler, options: ClusterOptions) -> RadianceSamples:
+    """Samples of texels from all over the copy, in small blocks, for finding its materials."""
+    mask = sampler.copy.height_field.mask
+    rng = np.random.default_rng(options.seed)
+    wanted = _SURVEY * options.survey
+    parts, count = [], 0
+    for tile in _blocks(mask, rng):
+        part = sampler.samples(tile)
+        parts.append(part.take(part.valid.any(axis=1)))
+        count += parts[-1].texels
+        if count >= wanted:
+            break
+    return RadianceSamples(
+        *(
+            np.concatenate([getattr(part, item.name) for part in parts])
+            for item in fields(RadianceSamples)
+        )
+    )
+
+
+def _blocks(mask: NDArray[np.bool_], rng: np.random.Generator) -> Iterator[Tile]:
+    """Every block that holds a measured texel, in random order."""
+    rows, cols = mask.shape
+    corners = [(r, c) for r in range(0, rows, _BLOCK) for c in range(0, cols, _BLOCK)]
+    for i in rng.permutation(len(corners)):
+        row, col = corners[i]
+        tile = Tile((row, min(row + _BLOCK, rows)), (col, min(col + _BLOCK, cols)))
+        if mask[tile.slices].any():
+            yield tile
+
+
+def _empty_maps(shape: tuple[int, ...]) -> ReflectanceMaps:
+    def zeros(*channels: int) -> NDArray[np.float32]:
+        return np.zeros((*shape, *channels), np.float32)
+
+    counts = [np.zeros(shape, np.uint16) for _ in range(2)]
+    quality = ReflectanceQuality(zeros(3), zeros(3), zeros(3), zeros(), *counts)
+    return ReflectanceMaps(zeros(3), zeros(3), zeros(4), quality)
+
+
+def _store(
+    maps: ReflectanceMaps,
+    tile: Tile,
+    own: NDArray[np.bool_],
+    samples: RadianceSamples,
+    fits: TexelFits,
+) -> None:
+    """Write the fits of a tile's measured texels into the maps."""
+    quality = maps.quality
+    assert quality is not None  # of maps made here
+    errors = fits.standard_errors
+    for target, values in (
+        (maps.diffuse, fits.lobes.diffuse),
+        (maps.specular, fits.lobes.specular),
+        (maps.lobe, fits.lobes.coefficients),
+        (quality.lobe_sigma, errors[:, :3]),
+        (quality.diffuse_sigma, errors[:, 3:6]),
+        (quality.specular_sigma, errors[:, 6:]),
+        (quality.residual, residual_rms(samples, fits)),
+        (quality.samples, np.minimum(fits.samples, np.iinfo(np.uint16).max)),
+        (quality.flags, fits.flags),
+    ):
+        target[tile.slices][own] = values
+
+
+def residual_rms(samples: RadianceSamples, fits: TexelFits) -> NDArray[np.float64]:
+    """RMS of radiance over irradiance that the fits leave of the valid samples, (n,)."""
+    valid = samples.valid
+    off = fits.lobes.radiance(samples.view, samples.light) - samples.radiance
+    squares = np.where(valid, np.sum(off**2, axis=2), 0.0).sum(axis=1)
+    return np.asarray(np.sqrt(squares / np.maximum(3 * valid.sum(axis=1), 1)))
+
+
+def _without_holes(maps: ReflectanceMaps, fitted: NDArray[np.bool_]) -> ReflectanceMaps:
+    """The maps with the lobes of the nearest fitted texel where there is none."""
+    if fitted.all():
+        return maps
+    nearest = tuple(distance_transform_edt(~fitted, return_distances=False, return_indices=True))
+    assert maps.quality is not None  # of maps made here
+    flags = maps.quality.flags | np.where(fitted, 0, int(TexelFlag.NO_SAMPLES)).astype(np.uint16)
+    errors = {
+        name: getattr(maps.quality, name)[nearest]
+        for name in ("diffuse_sigma", "specular_sigma", "lobe_sigma")
+    }
+    quality = ReflectanceQuality(
+        **errors, residual=maps.quality.residual, samples=maps.quality.samples, flags=flags
+    )
+    return ReflectanceMaps(
+        maps.diffuse[nearest], maps.specular[nearest], maps.lobe[nearest], quality
+    )
