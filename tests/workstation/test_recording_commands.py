@@ -125,6 +125,8 @@ def test_a_dry_run_says_what_it_costs_and_records_nothing(rig, tmp_path):
     assert "8 may turn out not to be needed" in done.stdout
     scan = impasto("scan", rig, "--out", tmp_path / "s", "--dry-run")
     assert scan.returncode == 0
+    assert "of which up to 81 may turn out not to be needed" in scan.stdout
+    assert "metered for 0.05 px" in scan.stdout
     assert "MB are free" in scan.stdout
     assert not (tmp_path / "s").exists()
 

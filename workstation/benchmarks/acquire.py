@@ -38,7 +38,12 @@ from devices.replay import replay_rig
 from devices.rig import Rig
 from devices.simulated.settings import PaintingKind, SimulationSettings
 from workstation.benchmark_records import Record, Sense
-from workstation.benchmarks.frames_against_error import compare_plans, draw_outcomes, skip_records
+from workstation.benchmarks.frames_against_error import (
+    compare_plans,
+    compare_with_full,
+    draw_outcomes,
+    skip_records,
+)
 from workstation.benchmarks.response_capture import CAPTURE, gamma_record
 from workstation.benchmarks.torture_decoding import hdr_records
 
@@ -62,7 +67,7 @@ def bench(*, pictures: Path | None = None) -> list[Record]:
     """
     records = [*_merge_records(), _ratio_record(), *_recording_records(), *hdr_records()]
     outcomes = compare_plans()
-    records += skip_records(outcomes)
+    records += skip_records(*compare_with_full(), outcomes)
     if pictures is not None:
         draw_outcomes(outcomes, pictures / _PICTURE)
     data = os.environ.get("IMPASTO_REAL_DATA")
