@@ -25,6 +25,10 @@ from acquisition.patterns import Axis
 from acquisition.plan import Imager
 
 
+# Of one fringe or code; no capture comes near it.
+_MOST_FILES = 10_000
+
+
 class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -46,6 +50,8 @@ class NumberedFiles(_Part):
             raise ValueError(f"steps of {self.step} do not lead from {self.first} to {self.last}")
         if (self.last - self.first) * self.step < 0:
             raise ValueError(f"steps of {self.step} lead away from {self.last}")
+        if abs((self.last - self.first) // self.step) >= _MOST_FILES:
+            raise ValueError(f"more than {_MOST_FILES} files from {self.first} to {self.last}")
         return self
 
     @property

@@ -55,7 +55,7 @@ def _opened(path: Path) -> Iterator[cv2.FileStorage]:
     try:
         storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
         storage.root().keys()
-    except (cv2.error, SystemError):
+    except (cv2.error, SystemError, UnicodeDecodeError):
         # OpenCV's binding turns errors of its constructor into a bare SystemError.
         raise CalibrationError(f"{path}: not an OpenCV YAML, XML or JSON file") from None
     try:

@@ -103,6 +103,11 @@ def test_bad_files_are_named_and_leave_no_finished_session(capture, damage, mess
             '{ pattern = "#.png", first = 0, last = 5, step = 2 }',
             "do not lead from 0 to 5",
         ),
+        (
+            '["a.png", "b.png", "c.png"]',
+            '{ pattern = "#.png", first = 0, last = 2147483648 }',
+            "more than 10000 files",
+        ),
     ],
 )
 def test_bad_descriptions_name_the_key(capture, old, new, message):

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 import cv2
@@ -71,6 +72,16 @@ def test_other_files_are_refused(tmp_path, content):
     (tmp_path / "c.yml").write_text(content)
     with pytest.raises(CalibrationError, match=r"c\.yml"):
         read_matrices(tmp_path / "c.yml", ["K"])
+
+
+def test_bytes_that_are_no_text_are_refused(matrices, tmp_path):
+    write_matrices(tmp_path / "c.yml", matrices)
+    content = (tmp_path / "c.yml").read_bytes()
+    random = np.random.default_rng(0)
+    for at in random.integers(0, len(content), 100):
+        (tmp_path / "c.yml").write_bytes(content[:at] + b"\xff\xfe\x80" + content[at:])
+        with contextlib.suppress(CalibrationError):
+            read_matrices(tmp_path / "c.yml", list(matrices))
 
 
 def yaml_matrix(rows, cols, data):

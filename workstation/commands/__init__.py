@@ -13,6 +13,7 @@ from workstation.commands import (
     process,
     render,
     replay,
+    report,
     resume,
     scan,
 )
@@ -28,6 +29,7 @@ _COMMANDS = (
     import_capture,
     process,
     render,
+    report,
     bench,
 )
 

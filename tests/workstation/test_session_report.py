@@ -1,0 +1,195 @@
+from __future__ import annotations
+
+import base64
+import json
+import shutil
+import subprocess
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from synthetic_copy import make_copy
+
+from acquisition.session import Session
+from devices.simulated.rig import demo_rig
+from fitting.copy_files import write_copy
+from fitting.digital_copy import ReflectanceMaps
+from workstation.demonstration import record_simulated_scan
+from workstation.report_maps import draw_map, shaded_relief
+from workstation.report_page import Comparison, Picture, Section, Table, write_page
+from workstation.session_report import PARTS, write_session_report
+
+ERRORS = {
+    "height_noise": {"observed_mm": 0.03, "predicted_mm": 0.02, "samples": 9},
+    "height_sigma_mm": 0.01,
+    "calibration_uncertainty": {"height_sigma_mm": 0.004},
+    "canvas_shape": {
+        f"{n}{s}_mm": 0.1 for n in ("bow_x", "bow_y", "twist") for s in ("", "_sigma")
+    },
+}
+
+
+def bumpy():
+    y, x = np.mgrid[:60, :80]
+    hills = np.maximum(0, np.sin(x / 6) * np.sin(y / 5) - 0.5) * 3
+    mask = np.ones((60, 80), bool)
+    mask[10:14, 20:30] = False
+    return make_copy(hills, mask=mask)
+
+
+class Page(HTMLParser):
+    """What a page is made of."""
+
+    def __init__(self, path):
+        super().__init__()
+        self.pictures, self.text, self.addresses, self.anchors = [], [], [], set()
+        self.feed(path.read_text())
+
+    def handle_starttag(self, tag, attrs):
+        given = dict(attrs)
+        if tag == "img":
+            self.pictures.append((given["alt"], given["src"]))
+        self.addresses += [given[name] for name in ("src", "href") if name in given]
+        self.anchors.add(given.get("id"))
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+    def picture(self, alt):
+        source = next(source for name, source in self.pictures if name == alt)
+        content = base64.b64decode(source.partition(",")[2])
+        return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("scan") / "session"
+    record_simulated_scan(demo_rig(camera_width=64), folder)
+    return folder
+
+
+@pytest.fixture
+def copy(tmp_path):
+    made = bumpy()
+    shape = made.height_field.shape
+    maps = ReflectanceMaps(
+        np.full((*shape, 3), 0.1, np.float32),
+        np.full((*shape, 3), 0.2, np.float32),
+        np.full((*shape, 4), 2.0, np.float32),
+    )
+    provenance = {
+        "software": "impasto 9",
+        "source": "<somewhere>",
+        "errors": ERRORS,
+        "warnings": ["two canvases & one frame"],
+        "parameters": {"surface": {"pitch_mm": None}},
+        "stages": [{"name": "decoding", "seconds": 1.5, "skipped": True, "saved_s": 4.25}],
+    }
+    write_copy(replace(made, reflectance=maps, provenance=provenance), tmp_path / "copy")
+    return tmp_path / "copy"
+
+
+def test_the_page_tells_everything_and_asks_for_nothing(copy, session, tmp_path):
+    parts = []
+    figures = write_session_report(
+        copy, tmp_path / "r.html", session=Session.open(session), begin=parts.append
+    )
+    assert len(parts) == PARTS
+    page = Page(tmp_path / "r.html")
+    assert all(a.startswith(("data:", "#")) for a in page.addresses)
+    assert {a[1:] for a in page.addresses if a.startswith("#")} <= page.anchors
+    text = " ".join(page.text)
+    wanted = ("two canvases & one frame", "<somewhere>", "1.50", "0.03 mm", "0.02 mm", "0.0040 mm")
+    for word in (*wanted, "saves 4.25 s", "by default from the data", Session.open(session).digest):
+        assert word in text, word
+    assert "Reflectance" in figures["sections"]
+    for alt, _ in page.pictures:
+        assert alt
+        assert page.picture(alt) is not None
+    assert page.picture("inshot-front").shape == (480, 640, 3)
+    assert page.picture("inshot-front").std() > 1
+
+
+def test_a_copy_alone_has_a_page_too(tmp_path):
+    write_copy(bumpy(), tmp_path / "copy")
+    figures = write_session_report(tmp_path / "copy", tmp_path / "r.html")
+    assert "What was captured" not in figures["sections"]
+    assert "Reflectance" not in figures["sections"]
+
+
+def test_the_command_writes_page_and_figures(copy, tmp_path):
+    command = [".venv/bin/impasto", "report", str(copy), "--out", str(tmp_path / "r.html")]
+    root = Path(__file__).parents[2]
+    done = subprocess.run(
+        [*command, "--json", str(tmp_path / "f.json")], cwd=root, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert json.loads((tmp_path / "f.json").read_text())["errors"] == ERRORS
+    missing = subprocess.run(
+        [*command[:-1], str(tmp_path / "nowhere" / "r.html")],
+        cwd=root,
+        capture_output=True,
+        text=True,
+    )
+    assert missing.returncode == 3
+    assert "make it first" in missing.stderr
+
+
+def test_maps_keep_gaps_empty_and_end_their_colours_as_asked():
+    copy = bumpy()
+    field = copy.height_field
+    values = field.height.astype(np.float64)
+    values[~field.mask] = np.nan
+    drawn = cv2.imdecode(np.frombuffer(draw_map(copy, values, unit="mm"), np.uint8), 1)
+    assert drawn.shape[1] > 600
+    # One outlier takes all contrast from the rest, unless the colours end before it.
+    values[30, 40] = 1e6
+    contrast = []
+    for limits in ((1.0, 99.0), (0.0, 100.0)):
+        content = draw_map(copy, values, limits=limits)
+        drawn = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+        inside = drawn[300:400, 500:600]
+        contrast.append(inside.std(axis=(0, 1)).max())
+    assert contrast[0] > 3 * contrast[1]
+
+
+def test_relief_is_lit_from_the_upper_left():
+    copy = bumpy()
+    field = copy.height_field
+    rows, cols = np.mgrid[: field.shape[0], : field.shape[1]]
+    towards = replace(field, height=(0.1 * (cols + rows)).astype(np.float32))
+    away = replace(field, height=(-0.1 * (cols + rows)).astype(np.float32))
+    shades = [shaded_relief(replace(copy, height_field=f)).mean() for f in (towards, away)]
+    # Heights that rise to the lower right face the upper left.
+    assert shades[0] > shades[1] + 0.1
+
+
+def test_a_slider_parts_two_pictures_and_can_be_moved_by_keys(tmp_path):
+    white = cv2.imencode(".png", np.full((60, 80, 3), 255, np.uint8))[1].tobytes()
+    black = cv2.imencode(".png", np.zeros((60, 80, 3), np.uint8))[1].tobytes()
+    pair = Comparison("both", Picture("photograph", white), Picture("render", black))
+    section = Section("Held out", tables=(Table((("a", "1"),), ("", "x")),), comparisons=(pair,))
+    write_page(tmp_path / "p.html", title="t", summary="s", sections=(section,))
+    text = (tmp_path / "p.html").read_text()
+    assert 'type="range"' in text
+    assert 'aria-label="photograph to the left, render to the right"' in text
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        pytest.skip("no Chromium to look at the page with")
+    picture = tmp_path / "p.png"
+    subprocess.run(
+        [
+            *(chromium, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"),
+            *(f"--screenshot={picture}", "--window-size=400,900", f"file://{tmp_path}/p.html"),
+        ],
+        check=True,
+        capture_output=True,
+        timeout=60,
+    )
+    seen = cv2.imread(str(picture), 0)
+    # White to the left of the middle, black to its right, and nothing wider than the window.
+    rows = np.flatnonzero((seen[:, 300] < 5) & (seen[:, 100] > 250))
+    assert len(rows) > 250

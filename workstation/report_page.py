@@ -1,0 +1,101 @@
+"""Pages of a report: one HTML file each, that asks for nothing outside itself."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass
+from pathlib import Path
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
+
+from acquisition.atomic_files import write_bytes
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A PNG or JPEG picture and what it shows."""
+
+    caption: str
+    content: bytes
+
+    @property
+    def source(self) -> str:
+        """Address that holds the picture itself."""
+        kind = "jpeg" if self.content.startswith(b"\xff\xd8") else "png"
+        return f"data:image/{kind};base64,{base64.b64encode(self.content).decode()}"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two pictures of one size, laid over one another and parted by a slider."""
+
+    caption: str
+    left: Picture
+    right: Picture
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of texts, the first of each naming it; a heading if there is one."""
+
+    rows: tuple[tuple[str, ...], ...]
+    heading: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of a report.
+
+    Attributes
+    ----------
+    title : str
+    text : str
+    tables : tuple of Table
+    comparisons : tuple of Comparison
+    pictures : tuple of Picture
+    small : bool
+        Whether the pictures stand close together.
+    """
+
+    title: str
+    text: str = ""
+    tables: tuple[Table, ...] = ()
+    comparisons: tuple[Comparison, ...] = ()
+    pictures: tuple[Picture, ...] = ()
+    small: bool = False
+
+    @property
+    def anchor(self) -> str:
+        """Name of the part in the page's addresses."""
+        return "-".join("".join(c if c.isalnum() else " " for c in self.title.lower()).split())
+
+
+def write_page(
+    path: Path,
+    *,
+    title: str,
+    summary: str,
+    sections: tuple[Section, ...],
+    warnings: tuple[str, ...] = (),
+) -> None:
+    """Write a report's page, whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+    title : str
+    summary : str
+        A sentence or two below the title.
+    sections : tuple of Section
+    warnings : tuple of str
+        Shown before the sections.
+    """
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent / "templates"),
+        autoescape=select_autoescape(default=True),
+        undefined=StrictUndefined,
+    )
+    page = environment.get_template("session.html").render(
+        title=title, summary=summary, sections=sections, warnings=warnings
+    )
+    write_bytes(path, page.encode())

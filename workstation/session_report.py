@@ -1,0 +1,318 @@
+"""The report of a copy: what was captured, what came of it, how well it is known, how it looks."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.contact_sheet import draw_contact_sheet
+from acquisition.session import Session
+from calibration.rig_geometry import RigGeometry
+from fitting.copy_files import read_copy
+from fitting.digital_copy import DigitalCopy
+from fitting.relief_picture import draw_relief
+from render.painter import Painter
+from render.painting_node import Mode
+from render.views import NamedView, named_view
+from workstation.report_maps import draw_map, shaded_relief
+from workstation.report_page import Picture, Section, Table, write_page
+
+# Parts that progress is told of: contact sheet, maps and views.
+PARTS = 2 + len(NamedView)
+_RENDER_SIZE = (640, 480)
+_JPEG_QUALITY = 88
+
+
+def write_session_report(
+    copy_folder: Path,
+    path: Path,
+    *,
+    session: Session | None = None,
+    begin: Callable[[str], None] = lambda part: None,
+) -> dict[str, Any]:
+    """Write the report of a copy as one HTML page.
+
+    Parameters
+    ----------
+    copy_folder : Path
+    path : Path
+        The page.
+    session : Session, optional
+        What the copy was made from, for what was captured and how it was calibrated.
+    begin : callable
+        Called with the name of each part as it is begun, :data:`PARTS` times at the most.
+
+    Returns
+    -------
+    dict
+        Its main figures, as plain JSON values.
+
+    Raises
+    ------
+    ImpastoError
+        The copy or the session cannot be read, or the copy cannot be drawn.
+    """
+    copy = read_copy(copy_folder)
+    sections = []
+    if session is not None:
+        begin("contact sheet")
+        sections += [_captured(session), _calibration(session)]
+    begin("maps")
+    sections += [_heights(copy), _relief(copy)]
+    if copy.reflectance is not None:
+        sections.append(_reflectance(copy))
+    sections += [_errors(copy), _views(copy, begin)]
+    stages = copy.provenance.get("stages")
+    if stages:
+        sections.append(_stages(stages))
+    sections.append(_parameters(copy))
+    width, height = copy.height_field.size_mm
+    write_page(
+        path,
+        title=f"A digital copy: {copy_folder.resolve().name}",
+        summary=(
+            f"{width:.0f} × {height:.0f} mm of canvas in {int(copy.height_field.mask.sum())} "
+            f"texels of {copy.height_field.pitch_mm:.3f} mm, made by "
+            f"{copy.provenance.get('software', 'an unknown program')} from "
+            f"{copy.provenance.get('source', 'an unknown source')}."
+        ),
+        sections=tuple(sections),
+        warnings=tuple(map(str, copy.provenance.get("warnings", ()))),
+    )
+    return {
+        "page": str(path),
+        "size_mm": list(copy.height_field.size_mm),
+        "texels": int(copy.height_field.mask.sum()),
+        "sections": [section.title for section in sections],
+        "errors": copy.provenance.get("errors", {}),
+        "warnings": list(copy.provenance.get("warnings", ())),
+    }
+
+
+def _captured(session: Session) -> Section:
+    sheet, figures = draw_contact_sheet(session)
+    exposures = sorted({f.exposure_s for f in figures if f.exposure_s is not None})
+    purposes = Counter(str(frame.purpose) for frame in session.frames)
+    places = {frame.camera_position for frame in session.frames if frame.camera_position}
+    saturated = max((f.saturated for f in figures), default=0.0)
+    camera, panel = session.plan.camera, session.plan.projector
+    rows = [
+        ("frames", ", ".join(f"{n} for {purpose}" for purpose, n in purposes.items())),
+        ("left out of their brackets", str(len(session.skipped))),
+        ("camera", f"{camera.width} × {camera.height} pixels"),
+        ("projector", f"{panel.width} × {panel.height} pixels"),
+        ("exposures", ", ".join(f"{1000 * t:.4g} ms" for t in exposures) or "not known"),
+        ("camera positions", ", ".join(sorted(places)) or "one"),
+        ("most saturated frame", f"{100 * saturated:.2g} % of its samples"),
+        ("digest of the session", session.digest),
+    ]
+    return Section(
+        "What was captured",
+        tables=(Table(tuple(rows)),),
+        pictures=(Picture("Every frame, in the order of the plan", _jpeg(sheet)),),
+    )
+
+
+def _calibration(session: Session) -> Section:
+    folder = session.calibration_folder
+    if folder is None:
+        return Section(
+            "Calibration",
+            "The session carries no calibration; the copy was made with one that was named.",
+        )
+    rig = RigGeometry.load(folder)
+    rows = [
+        (
+            name,
+            f"{lens.model.removeprefix('LENSMODEL_')}, focal length {lens.intrinsics[0]:.1f} × "
+            f"{lens.intrinsics[1]:.1f} pixels, centre {lens.intrinsics[2]:.1f}, "
+            f"{lens.intrinsics[3]:.1f}",
+        )
+        for name, lens in (("camera", rig.camera), ("projector", rig.projector))
+    ]
+    angle = math.degrees(float(np.linalg.norm(rig.rt_proj_cam[:3])))
+    rows += [
+        ("baseline", f"{np.linalg.norm(rig.rt_proj_cam[3:]):.1f} mm, turned by {angle:.1f}°"),
+        ("uncertainty", "known" if rig.covariance is not None else "not known"),
+    ]
+    return Section("Calibration", tables=(Table(tuple(rows)),))
+
+
+def _heights(copy: DigitalCopy) -> Section:
+    field = copy.height_field
+    heights = field.height.astype(np.float64)
+    sigma_um = 1e3 * np.sqrt(field.variance.astype(np.float64))
+    slope_deg = np.degrees(copy.slope_sigma.astype(np.float64))
+    low, high = field.height_range_mm
+    rows = [
+        ("lowest and highest", f"{low:.3f} and {high:.3f} mm"),
+        ("RMS about the canvas plane", f"{np.std(heights[field.mask]):.3f} mm"),
+        ("gaps", f"{100 * (1 - field.mask.mean()):.2f} % of the rectangle"),
+    ]
+    shape = copy.provenance.get("errors", {}).get("canvas_shape")
+    if isinstance(shape, dict):
+        for name in ("bow_x", "bow_y", "twist"):
+            value, sigma = shape[f"{name}_mm"], shape[f"{name}_sigma_mm"]
+            rows.append((name.replace("_", " along "), f"{value:.3f} ± {sigma:.3f} mm"))
+    return Section(
+        "Heights",
+        "Heights stand above the plane that fits the canvas best, towards the viewer. Nothing is "
+        "smoothed; gaps stay gaps.",
+        tables=(Table(tuple(rows)),),
+        pictures=(
+            Picture(
+                "As matt plaster, lit from the upper left", draw_map(copy, shaded_relief(copy))
+            ),
+            Picture(
+                "Height, mm (colours end at 0.1 and 99.9 %)",
+                draw_map(copy, heights, unit="mm", limits=(0.1, 99.9)),
+            ),
+            Picture(
+                "Standard error of the height, µm",
+                draw_map(copy, sigma_um, unit="µm", colours="magma", limits=(0, 98)),
+            ),
+            Picture(
+                "Standard error of the slope, degrees",
+                draw_map(copy, slope_deg, unit="°", colours="magma", limits=(0, 98)),
+            ),
+        ),
+    )
+
+
+def _relief(copy: DigitalCopy) -> Section:
+    relief = copy.relief
+    proposed = relief.proposed_delta0_mm
+    rows = [
+        ("δ0", f"{relief.delta0_mm:.3f} mm"),
+        ("δ0 that the histogram proposes", "none" if proposed is None else f"{proposed:.3f} mm"),
+        ("boxes", f"{len(relief.boxes)} of {relief.cell} × {relief.cell} texels"),
+        ("significant texels", f"{int(relief.significant.sum())}"),
+    ]
+    with TemporaryDirectory() as folder:
+        panels = Path(folder) / "relief.png"
+        draw_relief(copy, panels)
+        content = panels.read_bytes()
+    return Section(
+        "Relief",
+        "Heights, those above δ0, what is left of them without specks, and the boxes in which the "
+        "renderer walks along its rays.",
+        tables=(Table(tuple(rows)),),
+        pictures=(Picture("Classification of the relief", content),),
+    )
+
+
+def _reflectance(copy: DigitalCopy) -> Section:
+    maps = copy.reflectance
+    assert maps is not None
+    diffuse = np.pi * maps.diffuse.astype(np.float64)
+    specular = maps.specular.astype(np.float64).mean(axis=-1)
+    exponent = np.log10(np.maximum(maps.lobe[..., 3].astype(np.float64), 1.0))
+    pictures = (
+        Picture("Diffuse colour π ρ_d", draw_map(copy, _encoded(diffuse))),
+        Picture(
+            "Strength of the lobe ρ_s, mean of red, green and blue",
+            draw_map(copy, specular, unit="1/sr", colours="cividis", limits=(1, 99)),
+        ),
+        Picture(
+            "Sharpness of the lobe, log₁₀ k",
+            draw_map(copy, exponent, unit="log₁₀ k", colours="cividis", limits=(1, 99)),
+        ),
+    )
+    return Section(
+        "Reflectance",
+        "One Lafortune lobe per texel: a diffuse part, and a highlight of a strength and sharpness "
+        "of its own.",
+        pictures=pictures,
+    )
+
+
+def _errors(copy: DigitalCopy) -> Section:
+    errors: dict[str, Any] = copy.provenance.get("errors", {})
+    rows: list[tuple[str, ...]] = []
+    noise = errors.get("height_noise")
+    if isinstance(noise, dict):
+        predicted, observed = noise["predicted_mm"], noise["observed_mm"]
+        rows.append(_compared("white noise of the range image", "mm", predicted, observed))
+    for name, entry in errors.get("compared", {}).items():
+        rows.append(_compared(name, entry["unit"], entry["predicted"], entry["observed"]))
+    rows.append(
+        ("standard error of a height, median", f"{errors.get('height_sigma_mm', math.nan):.4f} mm")
+    )
+    calibration = errors.get("calibration_uncertainty")
+    if isinstance(calibration, dict):
+        by_rig = f"{calibration['height_sigma_mm']:.4f} mm"
+    else:
+        by_rig = str(calibration or "not known")
+    rows.append(("height by the calibration's uncertainty", by_rig))
+    return Section(
+        "Errors, predicted and observed",
+        "Predicted errors come from the sensor's noise and the calibration alone; a ratio of one "
+        "says that nothing else is at work.",
+        tables=(Table(tuple(rows), ("", "predicted", "observed", "ratio")),),
+    )
+
+
+def _compared(name: str, unit: str, predicted: float, observed: float) -> tuple[str, ...]:
+    ratio = f"{observed / predicted:.2f}" if predicted > 0 else ""
+    return (name, f"{predicted:.4g} {unit}", f"{observed:.4g} {unit}", ratio)
+
+
+def _views(copy: DigitalCopy, begin: Callable[[str], None]) -> Section:
+    width, height = _RENDER_SIZE
+    pictures = []
+    with Painter() as painter:
+        for name in NamedView:
+            begin(f"view {name}")
+            view = named_view(copy, name, aspect=width / height)
+            image = painter.paint(copy, view, mode=Mode.RELIEF, width=width, height=height)
+            pictures.append(Picture(str(name), _jpeg(image.encoded()[..., ::-1])))
+    return Section("Views", pictures=tuple(pictures), small=True)
+
+
+def _stages(stages: list[dict[str, Any]]) -> Section:
+    rows = [
+        (
+            str(stage["name"]),
+            f"{stage['seconds']:.2f} s",
+            f"kept from before, saves {stage['saved_s']:.2f} s" if stage["skipped"] else "",
+        )
+        for stage in stages
+    ]
+    return Section(
+        "Stages", tables=(Table(tuple(rows), ("stage", "time", "what need not be done")),)
+    )
+
+
+def _parameters(copy: DigitalCopy) -> Section:
+    rows: list[tuple[str, ...]] = []
+
+    def walk(name: str, value: Any) -> None:
+        if isinstance(value, dict):
+            for key, inner in value.items():
+                walk(f"{name}.{key}" if name else key, inner)
+        else:
+            rows.append((name, "by default from the data" if value is None else str(value)))
+
+    walk("", copy.provenance.get("parameters", {}))
+    return Section("Parameters", tables=(Table(tuple(rows)),))
+
+
+def _encoded(linear: NDArray[np.floating]) -> NDArray[np.float64]:
+    """SRGB display values of linear ones."""
+    clipped = np.clip(linear, 0.0, 1.0)
+    high = 1.055 * np.power(np.maximum(clipped, 0.0031308), 1 / 2.4) - 0.055
+    return np.asarray(np.where(clipped <= 0.0031308, 12.92 * clipped, high))
+
+
+def _jpeg(picture: NDArray[np.uint8]) -> bytes:
+    done, content = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    assert done
+    return content.tobytes()
