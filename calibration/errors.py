@@ -13,3 +13,7 @@ class CalibrationRefusedError(CalibrationError):
     """A calibration failed a quality gate; the message says what to record instead."""
 
     exit_code = 5
+
+
+class RegistrationError(CalibrationError):
+    """A photograph cannot be registered to the scan; the message says why."""

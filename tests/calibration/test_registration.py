@@ -1,0 +1,232 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from acquisition.patterns import Axis
+from calibration.code_blocks import find_blocks
+from calibration.code_pairs import pair_by_code
+from calibration.errors import CalibrationError, RegistrationError
+from calibration.lens import Lens, compose, invert, rotation, rt_from_matrix, transform
+from calibration.registration import RegistrationOptions, register_view
+from workstation.benchmarks.simulated_photographs import (
+    OTHER_LENS,
+    RIG,
+    VIEWS,
+    looking_from,
+    photograph,
+)
+
+HERE = np.zeros(6)
+LEFT = VIEWS["left"]
+
+
+def half(correspondence, columns):
+    """The same without what is decoded outside of some columns."""
+    rejection = correspondence.rejection.copy()
+    rejection[:, : columns.start] = 1
+    rejection[:, columns.stop :] = 1
+    return replace(correspondence, rejection=rejection)
+
+
+def error_of(view, true):
+    return compose(true, invert(view.rt_cam_rig))
+
+
+@pytest.fixture(scope="module")
+def scan():
+    return photograph(HERE, seed=0)
+
+
+@pytest.fixture(scope="module")
+def shot():
+    return photograph(LEFT, seed=5)
+
+
+@pytest.fixture(scope="module")
+def other_shot():
+    return photograph(LEFT, seed=6, lens=OTHER_LENS)
+
+
+def test_blocks_tell_coordinates_with_their_variance(scan):
+    exact, noisy = find_blocks(photograph(HERE, seed=0, sigma_px=1e-6)), find_blocks(scan)
+    assert len(exact) == pytest.approx(len(noisy), rel=0.1)
+    at = {tuple(pixel): number for number, pixel in enumerate(exact.pixels)}
+    both = [(number, at[p]) for number, p in enumerate(map(tuple, noisy.pixels)) if p in at]
+    ours, true = np.array(both).T
+    error = noisy.coordinates[ours] - exact.coordinates[true]
+    normal = error / np.sqrt(noisy.variance[ours])
+    # A noiseless block may be left out as rough, a noisy one smooths over what it cannot see.
+    assert np.sqrt(np.mean(np.sort(normal.ravel() ** 2)[: -normal.size // 50])) == pytest.approx(
+        0.95, abs=0.06
+    )
+
+
+def test_a_coordinate_is_found_in_its_block():
+    blocks = find_blocks(photograph(HERE, seed=0, sigma_px=1e-6, flat=True))
+    asked = blocks.pixels + np.array([1.3, -0.7])
+    rays = RIG.camera.unproject(asked) * 450.0
+    offset, slopes, variance = blocks.locate(
+        RIG.projector.project(transform(RIG.rt_proj_cam, rays))
+    )
+    np.testing.assert_allclose(offset, np.broadcast_to([1.3, -0.7], offset.shape), atol=1e-4)
+    assert (variance > 0).all()
+    assert slopes.shape == (len(blocks), 2, 2)
+    outside, _, _ = blocks.locate(blocks.coordinates + 500.0)
+    assert np.isnan(outside).all()
+
+
+def test_pairs_lie_where_the_photograph_sees_them(scan, shot):
+    pairs = pair_by_code(shot, scan, RIG)
+    seen, gradient = RIG.camera.project_with_gradient(transform(LEFT, pairs.points))
+    assert len(pairs) > 4000
+
+    lever = gradient @ rotation(LEFT)
+    covariance = lever @ pairs.covariance @ np.swapaxes(lever, 1, 2)
+    residuals = pairs.pixels - seen
+    squares = np.einsum(
+        "ni,ni->n", residuals, np.linalg.solve(covariance, residuals[..., None])[..., 0]
+    )
+    # Chi square of two has the mean 2 and the median 1.386.
+    assert np.median(squares) == pytest.approx(1.386, rel=0.06)
+
+
+def test_poses_err_as_much_as_predicted():
+    white = []
+    for seed in range(2):
+        known = photograph(HERE, seed=seed)
+        for number, pose in enumerate(VIEWS.values()):
+            view = register_view(photograph(pose, seed=100 + 10 * seed + number), known, RIG)
+            error = error_of(view, pose)
+            white.append(np.linalg.solve(np.linalg.cholesky(view.covariance), error))
+    assert np.sqrt(np.mean(np.square(white))) == pytest.approx(1, abs=0.3)
+
+
+def test_gross_errors_in_the_code_do_not_matter(scan, shot):
+    clean = register_view(shot, scan, RIG)
+    wrong = register_view(
+        photograph(LEFT, seed=5, wrong=0.2), photograph(HERE, seed=0, wrong=0.2), RIG
+    )
+    sigma = np.sqrt(np.diagonal(wrong.covariance))
+    assert (np.abs(error_of(wrong, LEFT)) < 4.5 * sigma).all()
+    assert (sigma < 1.35 * np.sqrt(np.diagonal(clean.covariance))).all()
+
+
+def test_a_photograph_may_have_another_lens(scan, other_shot):
+    view = register_view(other_shot, scan, RIG, lens=OTHER_LENS)
+    assert (np.abs(error_of(view, LEFT)) < 4.5 * np.sqrt(np.diagonal(view.covariance))).all()
+    assert view.texture_px < 0.01
+
+
+def test_an_unknown_lens_is_refined(scan, other_shot):
+    guess = Lens("LENSMODEL_OPENCV4", np.array([1160.0, 1160, 239.5, 179.5, 0, 0, 0, 0]), 480, 360)
+    refined = register_view(
+        other_shot, scan, RIG, lens=guess, options=RegistrationOptions(refine_lens=True)
+    )
+    assert refined.lens.focal_px == pytest.approx(OTHER_LENS.focal_px, rel=0.01)
+    # Parameters trade with the pose; what texture needs is where points are seen.
+    points = pair_by_code(other_shot, scan, RIG).points[::50]
+    true = OTHER_LENS.project(transform(LEFT, points))
+    assert np.abs(refined.project(points) - true).max() < 0.02
+    assert refined.covariance.shape == (14, 14)
+
+
+def test_a_wrong_lens_shows_in_the_inflation(scan, other_shot):
+    wrong = replace(OTHER_LENS, intrinsics=OTHER_LENS.intrinsics + np.eye(8)[4] * 0.01)
+    assert register_view(other_shot, scan, RIG, lens=wrong).inflation > 3
+    assert register_view(other_shot, scan, RIG, lens=OTHER_LENS).inflation == 1
+
+
+def test_errors_of_the_rig_are_told_apart(scan, shot):
+    count = len(RIG.parameters)
+    covariance = np.diag(np.r_[np.zeros(count - 3), [0.04, 0.04, 0.04]])
+    view = register_view(shot, scan, replace(RIG, covariance=covariance))
+    step = np.r_[np.zeros(count - 3), [0.2, 0, 0]]
+    moved = register_view(shot, scan, RIG.moved(step))
+    shift = compose(moved.rt_cam_rig, invert(view.rt_cam_rig))
+    # One standard deviation along one of three axes is a part of the predicted spread.
+    alone = np.diag(np.r_[np.zeros(count - 3), [0.04, 0, 0]])
+    predicted = register_view(shot, scan, replace(RIG, covariance=alone)).rig_covariance
+    np.testing.assert_allclose(np.abs(shift), np.sqrt(np.diagonal(predicted)), rtol=0.1, atol=1e-5)
+    assert (np.diagonal(view.rig_covariance) >= np.diagonal(predicted) * 0.999).all()
+    without = register_view(shot, scan, RIG)
+    assert not without.rig_covariance.any()
+    np.testing.assert_allclose(without.covariance, view.covariance)
+
+
+def test_the_canvas_frame_composes(scan, shot):
+    view = register_view(shot, scan, RIG)
+    rt_rig_canvas = rt_from_matrix(np.diag([1.0, -1, -1]), np.array([5.0, -3, 450]))
+    points = np.array([[0.0, 0, 0], [30, 20, 1]])
+    through = RIG.camera.project(transform(view.rt_cam_canvas(rt_rig_canvas), points))
+    np.testing.assert_allclose(through, view.project(transform(rt_rig_canvas, points)))
+    np.testing.assert_allclose(view.position, invert(LEFT)[3:], atol=0.05)
+    assert view.texture_covariance(transform(rt_rig_canvas, points)).shape == (2, 2, 2)
+
+
+def test_too_little_in_common_is_refused(scan, shot):
+    left = half(scan, slice(0, 110))
+    right = half(shot, slice(370, 480))
+    with pytest.raises(RegistrationError, match="pieces of decoded surface"):
+        register_view(right, left, RIG)
+
+
+def test_a_small_plane_piece_is_refused():
+    known = half(photograph(HERE, seed=1, flat=True, sigma_px=0.3), slice(220, 260))
+    rejection = known.rejection.copy()
+    rejection[:160] = rejection[200:] = 1
+    known = replace(known, rejection=rejection)
+    shot = photograph(looking_from((30.0, 10.0, -40.0)), seed=2, flat=True, sigma_px=0.3)
+    options = RegistrationOptions(least_pairs=20)
+    with pytest.raises(RegistrationError, match="show more of"):
+        register_view(shot, known, RIG, options=options)
+
+
+def test_codes_that_contradict_one_another_are_refused(scan, shot):
+    random = np.random.default_rng(0)
+    # Patches put elsewhere: every block is sound, and its place is wrong.
+    axes = {}
+    order = random.permutation(24 * 32)
+    for axis, decoded in shot.axes.items():
+        patches = decoded.coordinate.reshape(24, 15, 32, 15).swapaxes(1, 2).reshape(-1, 15, 15)
+        mixed = patches[order].reshape(24, 32, 15, 15).swapaxes(1, 2).reshape(360, 480)
+        axes[axis] = replace(decoded, coordinate=mixed)
+    with pytest.raises(RegistrationError, match="contradict one another"):
+        register_view(replace(shot, axes=axes), scan, RIG)
+
+
+def test_both_axes_are_needed(scan):
+    columns = replace(scan, axes={Axis.COLUMN: scan.axes[Axis.COLUMN]})
+    with pytest.raises(CalibrationError, match="along both axes"):
+        register_view(columns, scan, RIG)
+
+
+def test_a_lens_of_another_size_is_refused(scan):
+    small = replace(RIG.camera, width=240)
+    with pytest.raises(RegistrationError, match="its lens is that of"):
+        register_view(scan, scan, RIG, lens=small)
+
+
+def test_a_splined_lens_is_not_refined(scan, shot):
+    splined = Lens(
+        "LENSMODEL_SPLINED_STEREOGRAPHIC_order=3_Nx=4_Ny=4_fov_x_deg=40",
+        np.r_[RIG.camera.intrinsics[:4], np.zeros(32)],
+        480,
+        360,
+    )
+    with pytest.raises(RegistrationError, match="too many parameters"):
+        register_view(
+            shot,
+            scan,
+            RIG,
+            lens=splined,
+            options=RegistrationOptions(refine_lens=True),
+        )
+
+
+@pytest.mark.parametrize("wrong", [{"least_pairs": 3}, {"most_pairs": 20}, {"least_share": 0.0}])
+def test_options_make_sense(wrong):
+    with pytest.raises(RegistrationError):
+        RegistrationOptions(**wrong)
