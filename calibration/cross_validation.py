@@ -61,13 +61,22 @@ class ModelScore:
     model : str
     heldout : (views,) float64 array
         Weighted RMS of each view, held out once.
+    sigma0 : float
+        The same of the views that were solved from, corrected for what was fitted: a held-out view
+        leaves as much if the model is true and the views determine it.
     why : str
         Why the model could not be solved; empty if it could.
     """
 
     model: str
     heldout: NDArray[np.float64]
+    sigma0: float = float("nan")
     why: str = ""
+
+    @property
+    def heldout_over_noise(self) -> NDArray[np.float64]:
+        """(views,) residuals of each view, held out once, over the noise that the others show."""
+        return self.heldout / self.sigma0
 
     @property
     def mean(self) -> float:
@@ -89,6 +98,11 @@ class ModelChoice:
 
     scores: tuple[ModelScore, ...]
     chosen: str
+
+    @property
+    def score(self) -> ModelScore:
+        """Of the model that was taken."""
+        return next(score for score in self.scores if score.model == self.chosen)
 
 
 def fit_board_pose(
@@ -261,8 +275,8 @@ def _score(
             poses = heldout_poses(solution, [views[n] for n in out])
             heldout[out] = [pose.weighted_rms for pose in poses]
     except CalibrationError as error:
-        return ModelScore(model, heldout, str(error))
-    return ModelScore(model, heldout)
+        return ModelScore(model, heldout, why=str(error))
+    return ModelScore(model, heldout, whole.sigma0)
 
 
 def _first_pose(lens: Lens, view: BoardView, points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -308,9 +322,8 @@ def _refined(
         pose = compose(step, pose)
         if not np.isfinite(pose).all():
             break
-        if np.linalg.norm(step[:3]) < 1e-10 and np.linalg.norm(step[3:]) < 1e-8 * np.linalg.norm(
-            pose[3:]
-        ):
+        size = max(float(np.linalg.norm(pose[3:])), float(np.nanmax(np.abs(points))))
+        if np.linalg.norm(step[:3]) < 1e-10 and np.linalg.norm(step[3:]) < 1e-8 * size:
             return pose
     raise CalibrationError(
         f"{view.name}: no pose of the board explains its corners; detect them again"

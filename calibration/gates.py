@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.cross_validation import CalibrationDifference, FittedPose
+from calibration.drift import Drift
 from calibration.errors import CalibrationRefusedError
 from calibration.lens import rotation
 from calibration.procam import LENS_NAMES, ProcamCalibration
@@ -34,6 +35,7 @@ class Gate(StrEnum):
     DIFFERENCE = "cross-validation difference"
     SCALE = "scale"
     PLANE = "plane"
+    DRIFT = "drift"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +63,9 @@ class GateLimits:
         Most relative error of a known length, beyond twice its standard error.
     plane_over_noise : float
         Most deviation of a reconstructed plane, over its noise.
+    drift_over_predicted : float
+        Most change of shape since an earlier calibration, over what the uncertainties of both
+        explain.
     """
 
     tilt_deg: float = 6.0
@@ -72,6 +77,7 @@ class GateLimits:
     difference_px: float = 0.5
     scale_error: float = 0.002
     plane_over_noise: float = 2.0
+    drift_over_predicted: float = 2.5
 
 
 @dataclass(frozen=True)
@@ -150,6 +156,7 @@ def check_calibration(
     differences: Sequence[CalibrationDifference] = (),
     distances: Sequence[KnownDistance] = (),
     plane_over_noise: float | None = None,
+    drift: Drift | None = None,
 ) -> GateReport:
     """Put a calibration through the gates.
 
@@ -158,13 +165,15 @@ def check_calibration(
     calibration : ProcamCalibration
     limits : GateLimits, optional
     heldout : sequence of FittedPose
-        Poses that took no part; the gate is skipped without any.
+        Poses that took no part at all, besides those held out in turn by the choice of the model.
     differences : sequence of CalibrationDifference
         Of camera and projector, from halves of the views.
     distances : sequence of KnownDistance
         The baseline between camera and projector measured by hand, or a scale bar.
     plane_over_noise : float, optional
         Deviation of a reconstructed plane over its predicted noise.
+    drift : Drift, optional
+        Against an earlier calibration.
     """
     limits = limits or GateLimits()
     verdicts = [_tilt(calibration, limits)]
@@ -174,17 +183,7 @@ def check_calibration(
         _views(calibration),
         _warp(calibration, limits),
     ]
-    if heldout:
-        worst = max(pose.weighted_rms for pose in heldout)
-        verdicts.append(
-            _verdict(
-                Gate.HELDOUT,
-                worst,
-                limits.heldout_ratio,
-                f"a pose that took no part leaves {worst:.1f} times its noise; record more poses, "
-                "over the depth and the tilts in which the painting will stand",
-            )
-        )
+    verdicts += _heldout(calibration, heldout, limits)
     for name, difference in zip(LENS_NAMES, differences, strict=False):
         verdicts.append(
             _verdict(
@@ -206,6 +205,8 @@ def check_calibration(
                 "that the reference is flat, and record poses where it bends",
             )
         )
+    if drift is not None and np.isfinite(drift.predicted_mm):
+        verdicts.append(_drift(drift, limits))
     return GateReport(tuple(verdicts))
 
 
@@ -266,7 +267,6 @@ def _missing_tilts(calibration: ProcamCalibration) -> str:
 def _coverage(calibration: ProcamCalibration, number: int, limits: GateLimits) -> Verdict:
     covered = covered_cells(calibration, number)
     share = float(covered.mean())
-    passed = share >= limits.covered_share
     half = _CELLS // 2
     sides = (
         ("left", covered[:, :half]),
@@ -275,6 +275,7 @@ def _coverage(calibration: ProcamCalibration, number: int, limits: GateLimits) -
         ("bottom", covered[half:]),
     )
     bare = [name for name, cells in sides if cells.mean() < 0.5]
+    passed = share >= limits.covered_share and not bare
     part = f"the {' and the '.join(bare)}" if bare else "the corners of the image"
     remedy = (
         f"corners were seen in {share:.0%} of the {LENS_NAMES[number]}'s image; record poses that "
@@ -322,6 +323,35 @@ def _warp(calibration: ProcamCalibration, limits: GateLimits) -> Verdict:
         bow / calibration.board.square_mm,
         limits.warp_over_square,
         f"the board is warped by {bow:.2f} mm; it was solved for, but take a stiffer board",
+        refuses=False,
+    )
+
+
+def _heldout(
+    calibration: ProcamCalibration, poses: Sequence[FittedPose], limits: GateLimits
+) -> list[Verdict]:
+    left = {f"pose {n + 1}": pose.weighted_rms for n, pose in enumerate(poses)}
+    if calibration.models is not None:
+        ratios = calibration.models.score.heldout_over_noise
+        left |= {v.name: float(r) for v, r in zip(calibration.views, ratios, strict=True)}
+    if not left:
+        return []
+    worst = max(left, key=lambda name: left[name])
+    remedy = (
+        f"{worst}, held out, leaves {left[worst]:.1f} times the noise of the views solved from; "
+        "record more poses, over the depth and the tilts in which the painting will stand"
+    )
+    return [_verdict(Gate.HELDOUT, left[worst], limits.heldout_ratio, remedy)]
+
+
+def _drift(drift: Drift, limits: GateLimits) -> Verdict:
+    return _verdict(
+        Gate.DRIFT,
+        drift.over_predicted,
+        limits.drift_over_predicted,
+        f"the rig is not what it was: shapes measured with the earlier calibration change by "
+        f"{drift.shape_rms_mm * 1000:.0f} µm, {drift.over_predicted:.1f} times what both leave "
+        "uncertain; use this calibration from now on, and look for what became loose or warm",
         refuses=False,
     )
 

@@ -417,24 +417,59 @@ def _seen(observed: NDArray[np.float64]) -> NDArray[np.bool_]:
     return np.asarray((observed[..., 2] > 0) | observed[..., :2].any(axis=-1))
 
 
+def discord_of_views(
+    views: list[BoardView], board: Chessboard, imagers: list[Imager]
+) -> NDArray[np.float64]:
+    """How far each view is from the pose between the first two lenses that most views agree on.
+
+    From first guesses alone, so that a view which would lead the solve astray is known before it.
+
+    Returns
+    -------
+    (views,) float64 array
+        Mean displacement of the board's outer corners over its diagonal; NaN where a view is not
+        seen by both.
+    """
+    _check(views, board, imagers)
+    pixels = [np.stack([view.pixels[k] for view in views]) for k in range(2)]
+    seeds = _seeds(board, pixels, imagers[:2], stereographic=False)
+    both, apart = _poses_apart(board, seeds[0].rt_lens_board, seeds[1].rt_lens_board)
+    discord = np.full(len(views), np.nan)
+    agreed = int(np.argmin(np.median(apart, axis=1)))
+    discord[both] = apart[agreed] / np.linalg.norm(board.points[-1, -1])
+    return discord
+
+
 def _relative_pose(
     board: Chessboard, first: NDArray[np.float64], other: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """The pose that most views agree on, of those that each view gives."""
+    both, apart = _poses_apart(board, first, other)
+    agreed = both[int(np.argmin(np.median(apart, axis=1)))]
+    return compose(other[agreed], invert(first[agreed]))
+
+
+def _poses_apart(
+    board: Chessboard, first: NDArray[np.float64], other: NDArray[np.float64]
+) -> tuple[NDArray[np.int_], NDArray[np.float64]]:
+    """Views with both poses; mm by which the pose between lenses of one misplaces another's board.
+
+    Rows of the second are the views that give the pose, columns those that it is tried on.
+    """
     both = np.flatnonzero(np.isfinite(first[:, 0]) & np.isfinite(other[:, 0]))
     if not len(both):
         raise CalibrationError("no view of the board is seen by both camera and projector")
     corners = board.points[:: board.rows - 1, :: board.columns - 1].reshape(-1, 3)
-    candidates = [compose(other[v], invert(first[v])) for v in both]
     here = [transform(first[v], corners) for v in both]
     there = [transform(other[v], corners) for v in both]
-    errors = [
-        np.median([
-            np.linalg.norm(transform(rt, a) - b) for a, b in zip(here, there, strict=True)
-        ])
-        for rt in candidates
-    ]  # fmt: skip
-    return candidates[int(np.argmin(errors))]
+    apart = np.empty((len(both), len(both)))
+    for row, v in enumerate(both):
+        rt = compose(other[v], invert(first[v]))
+        apart[row] = [
+            np.linalg.norm(transform(rt, a) - b, axis=-1).mean()
+            for a, b in zip(here, there, strict=True)
+        ]
+    return both, apart
 
 
 def _take_model(inputs: dict[str, Any], model: str) -> None:

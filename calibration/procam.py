@@ -32,6 +32,7 @@ from calibration.errors import CalibrationError
 from calibration.lens import rotation
 from calibration.mrcal_solve import (
     LensSolution,
+    discord_of_views,
     resolve,
     save_lens,
     solve_lenses,
@@ -43,14 +44,18 @@ from calibration.phase_errors import PhaseErrors, compensate_phase_errors
 from calibration.rig_geometry import CAMERA_FILE, PROJECTOR_FILE, RigGeometry
 from calibration.uncertainty import RigCovariance, rig_covariance
 
-OPENCV_FILE = "calibration.yml"
 OPENCV_MODELS = ("LENSMODEL_OPENCV4", "LENSMODEL_OPENCV5", "LENSMODEL_OPENCV8")
 LENS_NAMES = ("camera", "projector")
 _LEAST_VIEWS = 3
+# Without one of them three must remain.
+LEAST_VIEWS_TO_CHOOSE = 4
 # A view is out of line when, held out, it leaves this many times what the others leave.
 _CONTRADICTION = 4.0
 _LEAST_GAIN = 1.5
 _NOISE_ROUNDS = 2
+# First guesses of a view that is counted wrongly are off by half the board, of others by a few
+# hundredths of it.
+_DISCORD = 0.25
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +65,8 @@ class ProcamOptions:
     Attributes
     ----------
     models : tuple of str
-        Lens models to be compared, from the simplest to the richest. One is taken as it is.
+        Lens models to be compared, from the simplest to the richest. Of one, it is measured how
+        well it explains views that it has not seen; of three views, the simplest is taken.
     outlier_sigmas : float
         Residual over the root mean square beyond which a corner is left out.
     board_warp : bool
@@ -157,7 +163,7 @@ class ProcamCalibration:
         What took part, with the noise found; corners as observed.
     board : Chessboard
     models : ModelChoice or None
-        None where only one was asked for.
+        None where there are too few views to hold any out.
     shape : BoardShape or None
         Of the board, if it was solved for.
     rejected_views : tuple of RejectedView
@@ -181,17 +187,44 @@ class ProcamCalibration:
         sigma = self.board.square_sigma_mm / self.board.square_mm
         return rig_covariance(self.solution, scale_sigma=sigma)
 
-    def save(self, folder: Path) -> None:
-        """Write both ``.cameramodel`` files, which carry what they were solved from.
+    def rig_with_covariance(self) -> RigGeometry:
+        """The rig with its covariance, the scale error of the board's squares in it."""
+        found = self.covariance()
+        covariance = found.covariance.copy()
+        # Whatever scales the baseline scales everything that is triangulated.
+        baseline = self.rig.rt_proj_cam[3:]
+        covariance[-3:, -3:] += found.scale_sigma**2 * np.outer(baseline, baseline)
+        return replace(self.rig, covariance=covariance)
 
-        For lenses of OpenCV's family ``calibration.yml`` is written as well.
+    def save(self, folder: Path) -> None:
+        """Write the rig: both ``.cameramodel`` files, and the covariance.
+
+        The models carry what they were solved from, so that they can be solved again.
         """
         folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
+        self.rig_with_covariance().save(folder)
         for number, name in enumerate((CAMERA_FILE, PROJECTOR_FILE)):
             save_lens(self.solution, number, folder / name)
-        if all(lens.opencv_parameters is not None for lens in self.solution.lenses):
-            write_matrices(folder / OPENCV_FILE, _opencv_matrices(self.rig))
+
+    def save_opencv(self, path: Path) -> None:
+        """Write matrices and distortion of both lenses and the pose in between as OpenCV does.
+
+        Parameters
+        ----------
+        path : Path
+            ``.yml`` or ``.xml``.
+
+        Raises
+        ------
+        CalibrationError
+            The lens model is none of OpenCV's.
+        """
+        if any(lens.opencv_parameters is None for lens in self.solution.lenses):
+            raise CalibrationError(
+                f"{path}: OpenCV has no lens like {self.rig.camera.model}; calibrate with one of "
+                f"{', '.join(OPENCV_MODELS)}"
+            )
+        write_matrices(Path(path), _opencv_matrices(self.rig))
 
 
 def measure_view(
@@ -276,7 +309,7 @@ def calibrate_procam(
         raise CalibrationError("two views have one name; outliers could not be told apart")
     kept, rejected = _without_contradictions(views, board, imagers, options)
     choice = None
-    if len(options.models) > 1:
+    if len(kept) >= LEAST_VIEWS_TO_CHOOSE:
         choice = choose_model(
             kept, board, imagers, options.models, outlier_sigmas=options.outlier_sigmas
         )
@@ -327,7 +360,8 @@ def _without_contradictions(
     views: list[BoardView], board: Chessboard, imagers: list[Imager], options: ProcamOptions
 ) -> tuple[list[BoardView], tuple[RejectedView, ...]]:
     """Views that agree, by leaving out the worst as long as the others fit much better for it."""
-    kept, rejected = list(views), []
+    kept, discordant = _without_discord(views, board, imagers)
+    rejected: list[RejectedView] = []
     model = options.models[0]
 
     def solve(some: list[BoardView]) -> LensSolution:
@@ -357,7 +391,30 @@ def _without_contradictions(
             )
         )
         kept, solution = rest, without
+    for view in discordant:
+        left = _left_by(solution, view)
+        rejected.append(
+            RejectedView(
+                view.name,
+                left,
+                "camera and projector see its board at poses that contradict those of the other "
+                "views: corners counted from another end in one of them, or a rig that was moved",
+            )
+        )
     return kept, tuple(rejected)
+
+
+def _without_discord(
+    views: list[BoardView], board: Chessboard, imagers: list[Imager]
+) -> tuple[list[BoardView], list[BoardView]]:
+    """Views whose first guesses agree, and those that would lead the solve astray."""
+    discord = discord_of_views(views, board, imagers)
+    limit = max(_DISCORD, 4 * float(np.nanmedian(discord)))
+    kept = [v for v, apart in zip(views, discord, strict=True) if not apart > limit]
+    # Where many disagree the guesses are bad, not the views.
+    if len(kept) < max(_LEAST_VIEWS, 0.75 * len(views)):
+        return list(views), []
+    return kept, [v for v, apart in zip(views, discord, strict=True) if apart > limit]
 
 
 def _left_by(solution: LensSolution, view: BoardView) -> float:

@@ -1,0 +1,121 @@
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calibration.board_views import BoardView
+from calibration.errors import CalibrationRefusedError
+from calibration.gates import Gate, KnownDistance, check_calibration
+from calibration.procam import ProcamOptions, calibrate_procam
+from workstation.benchmarks.simulated_boards import (
+    BOARD,
+    CAMERA,
+    PROJECTOR,
+    simulate_boards,
+    true_rig,
+)
+
+TRUE_BASELINE_MM = float(np.linalg.norm(true_rig()[1].rt_lens_ref[3:]))
+
+
+def calibrated(views, board=BOARD):
+    options = ProcamOptions(models=("LENSMODEL_OPENCV4",))
+    return calibrate_procam(views, board, camera=CAMERA, projector=PROJECTOR, options=options)
+
+
+def verdict(report, gate):
+    return next(v for v in report.failures if v.gate is gate)
+
+
+@pytest.fixture(scope="module")
+def good():
+    return calibrated(simulate_boards(9, seed=1).views)
+
+
+@pytest.fixture(scope="module")
+def baseline(good):
+    return float(np.linalg.norm(good.rig.rt_proj_cam[3:]))
+
+
+def test_a_good_set_passes_every_gate(good, baseline):
+    report = check_calibration(
+        good, distances=[KnownDistance(baseline, TRUE_BASELINE_MM, 0.2)], plane_over_noise=1.05
+    )
+    assert report.passed
+    assert report.failures == ()
+    assert {v.gate for v in report.verdicts} == set(Gate) - {Gate.DIFFERENCE, Gate.DRIFT}
+    report.refuse()
+
+
+def test_parallel_boards_are_refused_and_the_missing_tilts_named():
+    report = check_calibration(calibrated(simulate_boards(8, seed=1, tilt=0.0).views))
+    missing = verdict(report, Gate.TILT).remedy
+    assert "nearly parallel" in missing
+    assert "to the left and to the right and upwards and downwards, by 20° to 40°" in missing
+    with pytest.raises(CalibrationRefusedError, match="tilt: the boards are nearly") as e:
+        report.refuse()
+    assert e.value.exit_code == 5
+
+
+def test_an_image_covered_on_the_left_alone_is_refused_and_the_right_named():
+    report = check_calibration(calibrated(simulate_boards(9, seed=1, region=0.1).views))
+    refused = verdict(report, Gate.COVERAGE)
+    assert "of the camera's image; record poses that fill the right of it" in refused.remedy
+    with pytest.raises(CalibrationRefusedError, match=r"coverage: .* fill the right"):
+        report.refuse()
+
+
+def test_a_pose_whose_corners_are_counted_from_another_end_in_one_lens_is_left_out_by_name():
+    views = list(simulate_boards(9, seed=1).views)
+    one, turned = views[4], views[4].turned()
+    views[4] = BoardView(
+        one.name, (turned.pixels[0], one.pixels[1]), (turned.sigma_px[0], one.sigma_px[1])
+    )
+    calibration = calibrated(views)
+    assert [view.name for view in calibration.rejected_views] == ["pose 5"]
+    assert calibration.solution.rms_per_point_px < 0.2
+    report = check_calibration(calibration)
+    assert "pose 5 was left out: camera and projector see" in verdict(report, Gate.VIEWS).remedy
+    assert report.passed
+
+
+def test_a_pose_with_two_corners_swapped_is_left_out_by_name():
+    views = list(simulate_boards(9, seed=1).views)
+    one = views[2]
+    pixels = one.pixels[0].copy()
+    pixels[4, [5, 6]] = pixels[4, [6, 5]]
+    views[2] = BoardView(one.name, (pixels, one.pixels[1]), one.sigma_px)
+    calibration = calibrated(views)
+    report = check_calibration(calibration)
+    assert "pose 3 was left out: its corners are" in verdict(report, Gate.VIEWS).remedy
+    assert report.passed
+
+
+def test_a_wrong_square_is_refused_by_a_known_baseline_and_the_right_one_named(good, baseline):
+    # All lengths follow the square, so the same views with another one give a scaled rig.
+    wrong = replace(good, board=replace(BOARD, square_mm=20.2))
+    known = KnownDistance(baseline * 1.01, TRUE_BASELINE_MM, 0.2)
+    report = check_calibration(wrong, distances=[known])
+    assert "squares of 20.0" in verdict(report, Gate.SCALE).remedy
+    with pytest.raises(CalibrationRefusedError, match=r"20\.200 mm were given: measure the board"):
+        report.refuse()
+
+
+def test_a_warped_board_is_flagged_and_its_bow_found():
+    points = BOARD.points.copy()
+    u, v = (points[..., k] / points[..., k].max() * 2 - 1 for k in (0, 1))
+    points[..., 2] = 0.8 * (1 - u**2) + 0.5 * (1 - v**2)
+    calibration = calibrated(simulate_boards(9, seed=1, board_points=points).views)
+    np.testing.assert_allclose(np.abs(calibration.solution.warp_mm), [0.8, 0.5], atol=0.1)
+    report = check_calibration(calibration)
+    assert re.search(r"warped by 1\.[234]\d mm", verdict(report, Gate.WARP).remedy)
+    assert report.passed
+
+
+def test_a_plane_rougher_than_its_noise_is_refused(good):
+    report = check_calibration(good, plane_over_noise=3.0)
+    assert "3.0 times rougher than its noise" in verdict(report, Gate.PLANE).remedy
+    assert not report.passed
