@@ -224,7 +224,10 @@ def steep_harmonics(
         solution = np.linalg.lstsq(told[kept], observed[kept], rcond=1e-8)[0]
         left = ((observed - told @ solution) ** 2).sum(axis=1)
         kept = left <= 9 * np.median(left)
-    return np.moveaxis(design[..., 1:] @ solution[1:], -1, 0)
+    # Over a part of the period the waves and the plain light are told together only.
+    follows = np.moveaxis(design @ solution, -1, 0)
+    plain = np.median((told @ solution)[kept], axis=0) / np.median(told[kept, 0])
+    return follows - plain[:, np.newaxis, np.newaxis] * light
 
 
 def held_out_residual(

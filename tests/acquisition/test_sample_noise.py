@@ -13,7 +13,7 @@ from acquisition.sample_noise import QUANTISATION_VARIANCE, estimate_noise
 SIGMA = 6.0
 
 
-def taken(periods, steps, *, slope=2.9, gamma=1.0, shape=(60, 300), gain=1.0, seed=0):
+def taken(periods, steps, *, slope=2.9, gamma=1.0, shape=(60, 300), gain=1.0, contrast=1.0, seed=0):
     """Fringes with their frames; ``gain`` (rows, cols) is each pixel's share of the light."""
     patterns = [
         step
@@ -26,7 +26,7 @@ def taken(periods, steps, *, slope=2.9, gamma=1.0, shape=(60, 300), gain=1.0, se
     random = np.random.default_rng(seed)
     frames = {}
     for frame in plan.frames:
-        level = gain * (200 + 700 * pattern_profile(frame.pattern, at) ** gamma)
+        level = gain * (200 + 700 * contrast * pattern_profile(frame.pattern, at) ** gamma)
         noisy = level + random.normal(0, SIGMA, shape)
         frames[frame.id] = np.clip(np.round(noisy), 0, 1023).astype(np.uint16)
     return [
@@ -56,6 +56,14 @@ def test_the_means_of_three_step_fringes_agree_but_for_their_noise(gamma):
     found, origin = sigma_of(taken([500.0, 100.0, 20.0], 3, gamma=gamma))
     assert found == pytest.approx(SIGMA, rel=0.07)
     assert "agreement" in origin
+
+
+@pytest.mark.parametrize("steps", [4, 5, 8, 12])
+@pytest.mark.parametrize("period", [120.0, 700.0])
+def test_faint_fringes_of_which_a_part_is_seen(steps, period):
+    """Noise makes a long fringe look steep, and a part of the period does not tell its orders."""
+    fringes = taken([period], steps, slope=0.15, contrast=0.07)
+    assert sigma_of(fringes)[0] == pytest.approx(SIGMA, rel=0.12)
 
 
 def mosaic(shape, red, green, blue):
