@@ -1,11 +1,13 @@
-"""Pyramids of least and greatest heights, through which rays skip what they cannot hit.
+"""What rays skip by: pyramids of least and greatest heights, and cones that hold no surface.
 
 Maximum mipmaps: Tevs, Ihrke, Seidel, I3D 2008. A cell lies between four texel centres; level 0 has
-the cells, every further level squares of twice their size.
+the cells, every further level squares of twice their size. Cones: J. Dummer, Cone step mapping,
+2006.
 """
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -57,3 +59,31 @@ def _halved(level: NDArray[np.float32]) -> NDArray[np.float32]:
     down, across = min(rows, 2), min(cols, 2)
     blocks = level.reshape(rows // down, down, cols // across, across, 2)
     return np.stack([blocks[..., 0].min(axis=(1, 3)), blocks[..., 1].max(axis=(1, 3))], axis=-1)
+
+
+def cone_slopes(height: NDArray[np.float32], pitch_mm: float) -> NDArray[np.float32]:
+    """Slope S of the steepest cone over each texel that may hold surface.
+
+    At a distance r from a texel no height is above its own by more than S r. Heights are gathered
+    in squares of growing size, so S is a little too large, and never too small.
+
+    Parameters
+    ----------
+    height : (rows, cols) float32 array
+        mm.
+    pitch_mm : float
+
+    Returns
+    -------
+    (rows, cols) float32 array
+    """
+    slopes = np.zeros_like(height)
+    before = 1.0
+    for radius in (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128):
+        if before > max(height.shape):
+            break
+        square = np.ones((2 * radius + 1, 1), np.uint8)
+        highest = cv2.dilate(cv2.dilate(height, square), square.T)
+        np.maximum(slopes, (highest - height) / np.float32(before * pitch_mm), out=slopes)
+        before = radius
+    return slopes

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fitting.digital_copy import DigitalCopy
 from render.adaptive import AdaptiveOptions
+from render.bounded import BUDGET_PX
 from render.errors import RenderError
 from render.opengl import GL, HeadlessContext, OpenGLError, pyrender
 from render.painting_maps import PaintingMaterial
@@ -111,7 +112,7 @@ class Painter:
         self._context = HeadlessContext()
         self._renderer = PaintingRenderer(1, 1)
         self._material: tuple[DigitalCopy, PaintingMaterial] | None = None
-        self._mesh: tuple[Mode, AdaptiveOptions | None, pyrender.Mesh] | None = None
+        self._mesh: tuple[Mode, AdaptiveOptions | None, float, pyrender.Mesh] | None = None
 
     def paint(
         self,
@@ -123,6 +124,7 @@ class Painter:
         height: int = 768,
         light: Light | None = None,
         adaptive: AdaptiveOptions | None = None,
+        budget_px: float = BUDGET_PX,
     ) -> RenderedImage:
         """Draw one copy on its own.
 
@@ -136,6 +138,8 @@ class Painter:
         light : Light, optional
         adaptive : AdaptiveOptions, optional
             For :attr:`Mode.ADAPTIVE`.
+        budget_px : float
+            For :attr:`Mode.BOUNDED`: parallax that may be left, in pixels.
 
         Returns
         -------
@@ -147,7 +151,7 @@ class Painter:
             A size that OpenGL cannot draw, or a copy that the mode cannot.
         """
         self._refuse_size(width, height)
-        mesh = self._kept_mesh(copy, mode, adaptive)
+        mesh = self._kept_mesh(copy, mode, adaptive, budget_px)
         scene = painting_scene(copy, mesh, view, light or Light(), width / height)
         return self.paint_scene(scene, width=width, height=height)
 
@@ -187,6 +191,7 @@ class Painter:
         width: int,
         height: int,
         adaptive: AdaptiveOptions | None = None,
+        budget_px: float = BUDGET_PX,
     ) -> NDArray[np.float32]:
         """Where a mode has the surface: canvas frame, mm; NaN where nothing is.
 
@@ -197,7 +202,7 @@ class Painter:
         (rows, cols, 3) float32 array
             At the middle of each pixel.
         """
-        shown = self._shown(Shown.POINT, copy, view, mode, width, height, adaptive)
+        shown = self._shown(Shown.POINT, copy, view, mode, width, height, adaptive, budget_px)
         return np.where(shown[..., 3:] > 0, shown[..., :3], np.float32(np.nan))
 
     def work(
@@ -209,12 +214,15 @@ class Painter:
         width: int,
         height: int,
         adaptive: AdaptiveOptions | None = None,
+        budget_px: float = BUDGET_PX,
     ) -> NDArray[np.float32]:
         """Steps of the searches and number of fragments in each pixel, (rows, cols, 2).
 
         All fragments are counted that could be drawn, the hidden ones among them.
         """
-        return self._shown(Shown.WORK, copy, view, mode, width, height, adaptive)[..., :2]
+        return self._shown(Shown.WORK, copy, view, mode, width, height, adaptive, budget_px)[
+            ..., :2
+        ]
 
     def _shown(
         self,
@@ -225,9 +233,10 @@ class Painter:
         width: int,
         height: int,
         adaptive: AdaptiveOptions | None,
+        budget_px: float,
     ) -> NDArray[np.float32]:
         self._refuse_size(width, height)
-        mesh = self._kept_mesh(copy, mode, adaptive)
+        mesh = self._kept_mesh(copy, mode, adaptive, budget_px)
         scene = painting_scene(copy, mesh, view, Light(), width / height)
         scene.bg_color = np.zeros(4)
         self._renderer.viewport_width, self._renderer.viewport_height = width, height
@@ -248,15 +257,17 @@ class Painter:
             )
 
     def _kept_mesh(
-        self, copy: DigitalCopy, mode: Mode, adaptive: AdaptiveOptions | None
+        self, copy: DigitalCopy, mode: Mode, adaptive: AdaptiveOptions | None, budget_px: float
     ) -> pyrender.Mesh:
         if self._material is None or self._material[0] is not copy:
             self._material = (copy, PaintingMaterial(copy))
             self._mesh = None
-        if self._mesh is None or self._mesh[:2] != (mode, adaptive):
-            mesh = painting_mesh(copy, mode, adaptive=adaptive, material=self._material[1])
-            self._mesh = (mode, adaptive, mesh)
-        return self._mesh[2]
+        if self._mesh is None or self._mesh[:3] != (mode, adaptive, budget_px):
+            mesh = painting_mesh(
+                copy, mode, adaptive=adaptive, material=self._material[1], budget_px=budget_px
+            )
+            self._mesh = (mode, adaptive, budget_px, mesh)
+        return self._mesh[3]
 
     def close(self) -> None:
         """Free the OpenGL context."""

@@ -13,7 +13,7 @@ from scipy.ndimage import distance_transform_edt
 
 from fitting.digital_copy import DigitalCopy
 from render.errors import RenderError
-from render.height_pyramid import heights_with_gaps, min_max_pyramid
+from render.height_pyramid import cone_slopes, heights_with_gaps, min_max_pyramid
 from render.opengl import GL, pyrender
 
 LARGEST_SIDE = 16384
@@ -26,6 +26,7 @@ class Sampling(Enum):
     """How a texture is read between its texels and its levels."""
 
     TEXELS = (GL.GL_NEAREST_MIPMAP_NEAREST, GL.GL_NEAREST)
+    NEAREST_LEVEL = (GL.GL_LINEAR_MIPMAP_NEAREST, GL.GL_LINEAR)
     SMOOTH = (GL.GL_LINEAR_MIPMAP_LINEAR, GL.GL_LINEAR)
 
 
@@ -116,6 +117,7 @@ class PaintingMaterial(pyrender.Material):
             name: FloatTexture(name, mipmaps(values), half=name != "relief_map")
             for name, values in maps.items()
         }
+        self._searched: dict[str, FloatTexture] = {}
         half = 0.5 * field.pitch_mm
         self.uniforms: dict[str, Any] = {
             "has_reflectance": copy.reflectance is not None,
@@ -127,24 +129,36 @@ class PaintingMaterial(pyrender.Material):
         }
 
     @cached_property
-    def search_maps(self) -> dict[str, FloatTexture]:
-        """Maps that rays are searched through, made when the first mode asks for them."""
+    def height_levels(self) -> list[NDArray[np.float32]]:
+        """Heights (rows, cols, 1) in mm at ever lower resolution, gaps filled."""
+        field = self._copy.height_field
+        filled = gaps_from_nearest({"height": field.height[..., np.newaxis]}, field.mask)
+        return mipmaps(filled["height"])
+
+    def prepare_search(self) -> None:
+        """Make the maps that rays are searched through, unless they are there."""
+        if self._searched:
+            return
         height = heights_with_gaps(self._copy.height_field)
         pyramid = min_max_pyramid(height)
         self.uniforms |= {
             "cells": np.array([max(side - 1, 1) for side in height.shape[::-1]], np.int32),
             "pyramid_top": len(pyramid) - 1,
         }
-        return {
+        cones = [
+            np.dstack([level, cone_slopes(level[..., 0], self._copy.height_field.pitch_mm * 2**n)])
+            for n, level in enumerate(self.height_levels)
+        ]
+        self._searched = {
             "height_map": FloatTexture("height_map", [height[..., np.newaxis]]),
             "pyramid": FloatTexture("pyramid", pyramid, sampling=Sampling.TEXELS),
+            "search_map": FloatTexture("search_map", cones, sampling=Sampling.NEAREST_LEVEL),
         }
 
     @property
     def maps(self) -> dict[str, FloatTexture]:
         """Every texture by the name it has in the shaders."""
-        searched = self.search_maps if "search_maps" in self.__dict__ else {}
-        return self._shading_maps | searched
+        return self._shading_maps | self._searched
 
     @property
     def textures(self) -> set[FloatTexture]:

@@ -5,16 +5,16 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Any
 
-import numpy as np
-
 from fitting.digital_copy import DigitalCopy
 from render.adaptive import AdaptiveOptions
+from render.bounded import BUDGET_PX, BoundedPrimitive
 from render.errors import RenderError
+from render.exact import exact_primitive
 from render.opengl import GL, pyrender
 from render.painting_maps import PaintingMaterial
 from render.painting_primitive import PaintingPrimitive
 from render.relief_boxes import BoxesPrimitive
-from render.surface_shapes import bounds, box, cell_bounds, has_triangle, plane, surface_triangles
+from render.surface_shapes import bounds, box, has_triangle, plane, surface_triangles
 
 
 class Mode(StrEnum):
@@ -26,6 +26,7 @@ class Mode(StrEnum):
     HYBRID = "hybrid"
     ADAPTIVE = "adaptive"
     EXACT = "exact"
+    BOUNDED = "bounded"
 
 
 def painting_mesh(
@@ -34,6 +35,7 @@ def painting_mesh(
     *,
     adaptive: AdaptiveOptions | None = None,
     material: PaintingMaterial | None = None,
+    budget_px: float = BUDGET_PX,
 ) -> pyrender.Mesh:
     """The painting as a pyrender mesh, ready to be added to a scene.
 
@@ -47,6 +49,8 @@ def painting_mesh(
         For :attr:`Mode.ADAPTIVE`.
     material : PaintingMaterial, optional
         Of the same copy, to share its textures between meshes.
+    budget_px : float
+        For :attr:`Mode.BOUNDED`: parallax that may be left, in pixels.
 
     Returns
     -------
@@ -63,46 +67,31 @@ def painting_mesh(
         vertices, triangles = surface_triangles(copy)
         if not len(triangles):
             raise _no_triangle(copy, mode)
-        shaders = ("plain.vert", "mesh.frag")
+        shaders = ("plain.vert", "mesh.frag", "")
         parts = [PaintingPrimitive(vertices, triangles, material, shaders, culled=GL.GL_BACK)]
     elif mode is Mode.EXACT:
-        parts = [_exact(copy, material)]
+        if not has_triangle(copy.height_field.mask):
+            raise _no_triangle(copy, mode)
+        parts = [exact_primitive(copy, material)]
+    elif mode is Mode.BOUNDED:
+        parts = [BoundedPrimitive(copy, material, budget_px=budget_px)]
     elif mode is Mode.RELIEF:
         low, high = bounds(copy)
         corners, faces = box(low, high)
         search |= {"bounds_low": low, "bounds_high": high, "solid_sides": False}
-        shaders = ("plain.vert", "relief.frag")
+        shaders = ("plain.vert", "relief.frag", "")
         parts = [
             PaintingPrimitive(
                 corners, faces, material, shaders, uniforms=search, culled=GL.GL_FRONT
             )
         ]
     else:
-        parts = [PaintingPrimitive(*plane(copy), material, ("plain.vert", "bump.frag"))]
+        parts = [PaintingPrimitive(*plane(copy), material, ("plain.vert", "bump.frag", ""))]
         if mode is not Mode.BUMP and len(copy.relief.boxes):
             chosen = (adaptive or AdaptiveOptions()) if mode is Mode.ADAPTIVE else None
             search |= {"solid_sides": True}
             parts.append(BoxesPrimitive(copy, material, uniforms=search, adaptive=chosen))
     return pyrender.Mesh(primitives=parts)
-
-
-def _exact(copy: DigitalCopy, material: PaintingMaterial) -> PaintingPrimitive:
-    if not has_triangle(copy.height_field.mask):
-        raise _no_triangle(copy, Mode.EXACT)
-    maps = material.search_maps
-    assert maps  # made here, so that they are the material's from now on
-    low, high = cell_bounds(copy)
-    return PaintingPrimitive(
-        *box(*bounds(copy)),
-        material,
-        ("plain.vert", "exact.frag"),
-        doubles={
-            "cells_low": low,
-            "cells_high": high,
-            "first_texel": np.array(copy.height_field.origin_mm),
-        },
-        culled=GL.GL_FRONT,
-    )
 
 
 def _no_triangle(copy: DigitalCopy, mode: Mode) -> RenderError:

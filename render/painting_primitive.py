@@ -23,8 +23,8 @@ class PaintingPrimitive(pyrender.Primitive):
     indices : (m, 3) array
         Triangles.
     material : PaintingMaterial
-    shaders : (str, str)
-        Vertex and fragment shader files.
+    shaders : (str, str, str)
+        Vertex and fragment shader files, and names that are defined in both.
     uniforms, doubles : dict
         Beside the material's; the second in double precision.
     culled : int or None
@@ -37,7 +37,7 @@ class PaintingPrimitive(pyrender.Primitive):
         positions: NDArray[Any],
         indices: NDArray[Any],
         material: PaintingMaterial,
-        shaders: tuple[str, str],
+        shaders: tuple[str, str, str],
         *,
         uniforms: dict[str, Any] | None = None,
         doubles: dict[str, NDArray[np.float64]] | None = None,

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from render.bounded import BoundedPrimitive
 from render.errors import RenderError
 from render.opengl import GL, pyrender
 from render.painting_primitive import PaintingPrimitive
@@ -31,7 +33,7 @@ class PaintingRenderer(pyrender.renderer.Renderer):
     def __init__(self, viewport_width: int, viewport_height: int) -> None:
         super().__init__(viewport_width, viewport_height)
         self._program_cache = LinearProgramCache()
-        self._painting_programs: dict[tuple[str, str, Shown], PaintingProgram] = {}
+        self._painting_programs: dict[tuple[str, str, str, Shown], PaintingProgram] = {}
         self.shown = Shown.RADIANCE
 
     def delete(self) -> None:
@@ -51,6 +53,20 @@ class PaintingRenderer(pyrender.renderer.Renderer):
         if key not in self._painting_programs:
             self._painting_programs[key] = PaintingProgram(*key)
         return self._painting_programs[key]
+
+    def _sorted_mesh_nodes(self, scene: Any) -> Iterator[Any]:
+        # A mesh may hang from several nodes: it is made ready for each just before it is drawn.
+        for node in super()._sorted_mesh_nodes(scene):
+            for primitive in node.mesh.primitives:
+                if isinstance(primitive, BoundedPrimitive):
+                    self._look(primitive, scene, scene.get_pose(node))
+            yield node
+
+    def _look(self, primitive: BoundedPrimitive, scene: Any, pose: NDArray[np.float64]) -> None:
+        camera = scene.main_camera_node
+        projection = camera.camera.get_projection_matrix(self.viewport_width, self.viewport_height)
+        away = scene.get_pose(camera)[:3, 3] - pose[:3, 3]
+        primitive.look(pose[:3, :3].T @ away, 2 / (projection[1, 1] * self.viewport_height))
 
     def _bind_lighting(self, scene: Any, program: Any, node: Any, flags: int) -> None:
         self._camera_pose = scene.get_pose(scene.main_camera_node)

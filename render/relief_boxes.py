@@ -39,7 +39,7 @@ class BoxesPrimitive(PaintingPrimitive):
     ) -> None:
         low, high = np.zeros(3), np.ones(3)
         corners, faces = box(low, high)
-        shaders = ("boxes.vert", "relief.frag")
+        shaders = ("boxes.vert", "relief.frag", "")
         super().__init__(corners, faces, material, shaders, uniforms=uniforms, culled=GL.GL_FRONT)
         field, boxes = copy.height_field, copy.relief.boxes
         left = field.origin_mm[0] + (boxes.corner[:, 1] - 0.5) * field.pitch_mm

@@ -40,6 +40,8 @@ class PaintingProgram:
         File names; the fragment shader is preceded by ``surface.glsl``.
     shown : Shown
         What the fragment shader writes.
+    variant : str
+        Names to be defined, separated by spaces.
 
     Raises
     ------
@@ -47,16 +49,20 @@ class PaintingProgram:
         The driver refuses a shader.
     """
 
-    def __init__(self, vertex: str, fragment: str, shown: Shown = Shown.RADIANCE) -> None:
+    def __init__(
+        self, vertex: str, fragment: str, variant: str = "", shown: Shown = Shown.RADIANCE
+    ) -> None:
         shared = (_SHADERS / "surface.glsl").read_text()
         parts = (
             (GL.GL_VERTEX_SHADER, vertex, (_SHADERS / vertex).read_text()),
             (GL.GL_FRAGMENT_SHADER, fragment, shared + (_SHADERS / fragment).read_text()),
         )
+        defined = "".join(f"#define {name}\n" for name in variant.split())
+        opening = f"{_VERSION}#define SHOWN {shown}\n{defined}"
         self._program = GL.glCreateProgram()
         for kind, name, text in parts:
             shader = GL.glCreateShader(kind)
-            GL.glShaderSource(shader, f"{_VERSION}#define SHOWN {shown}\n{text}")
+            GL.glShaderSource(shader, opening + text)
             GL.glCompileShader(shader)
             if not GL.glGetShaderiv(shader, GL.GL_COMPILE_STATUS):
                 log = GL.glGetShaderInfoLog(shader).decode(errors="replace")

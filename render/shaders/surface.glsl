@@ -65,7 +65,7 @@ float level_of_detail(vec3 point) {
 }
 
 float depth_of(vec3 canvas_point) {
-    vec4 clip = P * V * M * vec4(canvas_point, 1.0);
+    vec4 clip = P * (V * (M * vec4(canvas_point, 1.0)));
     return 0.5 * clip.z / clip.w + 0.5;
 }
 

@@ -1,0 +1,213 @@
+"""The bounded mode: how much search a view needs for its parallax to stay within a budget.
+
+What a plane shows of a height that differs from its own by Δh is off by e = Δh · sin θ / (d · ω)
+pixels: θ between viewing ray and normal, d the distance, ω the angle of a pixel. Only what is off
+by more than the budget has to be searched for.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.digital_copy import DigitalCopy
+from fitting.height_field import HeightField
+from render.errors import RenderError
+from render.exact import EXACT_SHADERS, exact_doubles
+from render.opengl import GL
+from render.painting_maps import PaintingMaterial
+from render.painting_primitive import PaintingPrimitive
+from render.surface_shapes import bounds, box
+
+BUDGET_PX = 0.25
+"""Parallax in pixels that is left by default: too little to be seen."""
+
+# Slope of rays, horizontal over vertical, beyond which a plane is no way to carry them.
+_FLATTEST = 40.0
+
+
+class Search(StrEnum):
+    """How the shader looks for the surface; the names of its variants."""
+
+    PLANE = "PLANE"
+    FRONT = "FRONT"
+    GRAZING = "GRAZING"
+    EXACT = "EXACT"
+
+
+@dataclass(frozen=True)
+class ViewNeeds:
+    """What a view asks of a bounded search.
+
+    Attributes
+    ----------
+    search : Search
+    triangles : bool
+        Whether texels are larger than pixels anywhere, so that triangles are seen.
+    plane_mm : float
+        Height of the plane.
+    plane_error_mm : float
+        By which heights may differ from it.
+    rectangle : (float, float, float, float)
+        Part of the plane on which the surface is seen: lowest X and Y, highest X and Y, mm.
+    """
+
+    search: Search
+    triangles: bool
+    plane_mm: float
+    plane_error_mm: float
+    rectangle: tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class SurfaceShape:
+    """What a bounded search needs to know of a surface as a whole.
+
+    Attributes
+    ----------
+    low, high, median : float
+        Of the heights, mm.
+    corners : (float, float, float, float)
+        Lowest X and Y, highest X and Y of the canvas.
+    pitch_mm : float
+    steepest : list of float
+        Slope that all but 2 % of the texels keep to, by level of the maps.
+    """
+
+    low: float
+    high: float
+    median: float
+    corners: tuple[float, float, float, float]
+    pitch_mm: float
+    steepest: list[float]
+
+    @classmethod
+    def of(cls, field: HeightField, levels: list[NDArray[np.float32]]) -> SurfaceShape:
+        """Of a height field, and the levels (rows, cols, 1) of its heights."""
+        low, high = field.height_range_mm
+        (x, y), (width, height) = field.origin_mm, field.size_mm
+        half = 0.5 * field.pitch_mm
+        steepest = []
+        for number, level in enumerate(levels):
+            rises = [np.abs(np.diff(level[..., 0], axis=axis)).ravel() for axis in (0, 1)]
+            joined = np.concatenate(rises)
+            slope = np.quantile(joined, 0.98) / (field.pitch_mm * 2**number) if len(joined) else 0.0
+            steepest.append(float(slope))
+        corners = (x - half, y + half - height, x - half + width, y + half)
+        median = float(np.median(field.height[field.mask]))
+        return cls(low, high, median, corners, field.pitch_mm, steepest)
+
+    def needs(self, eye: NDArray[np.float64], pixel_angle: float, budget_px: float) -> ViewNeeds:
+        """What is needed seen from a place (3,) of the canvas frame."""
+        x0, y0, x1, y1 = self.corners
+        x, y, z = (float(number) for number in eye)
+        near = math.hypot(max(x0 - x, 0, x - x1), max(y0 - y, 0, y - y1))
+        far = math.hypot(max(abs(x - x0), abs(x - x1)), max(abs(y - y0), abs(y - y1)))
+        above = z - self.high
+        if above <= 0 or far > _FLATTEST * above:
+            return ViewNeeds(Search.EXACT, True, self.median, self.high - self.low, self.corners)
+        # Bounds over the canvas, each by itself: nearest place, flattest ray.
+        nearest = math.hypot(near, above)
+        flattest = far / math.hypot(far, above)
+        per_mm = flattest / (nearest * pixel_angle)
+        middle = 0.5 * (self.low + self.high)
+        allowed = budget_px / max(per_mm, 1e-30)
+        error = max(self.high - middle, 1e-9)
+        if error <= allowed:
+            plane = min(max(self.median, self.high - allowed), self.low + allowed)
+            search = Search.PLANE
+        else:
+            plane = middle + (self.median - middle) * min(error / allowed - 1, 1.0)
+            level = max(math.log2(pixel_angle * nearest / self.pitch_mm), 0.0)
+            smooth = self.steepest[min(int(level), len(self.steepest) - 1)]
+            search = Search.FRONT if smooth * far < above else Search.GRAZING
+        differs = max(self.high - plane, plane - self.low)
+        return ViewNeeds(
+            search,
+            search is not Search.PLANE and pixel_angle * nearest < 0.7 * self.pitch_mm,
+            plane,
+            differs,
+            self._seen_on_plane(x, y, z, plane),
+        )
+
+    def _seen_on_plane(
+        self, x: float, y: float, z: float, plane: float
+    ) -> tuple[float, float, float, float]:
+        """Rectangle of a plane that the box around the surface is seen on from (x, y, z)."""
+        x0, y0, x1, y1 = self.corners
+        shares = [(z - plane) / (z - height) for height in (self.low, self.high)]
+        xs = [x + share * (side - x) for share in shares for side in (x0, x1)]
+        ys = [y + share * (side - y) for share in shares for side in (y0, y1)]
+        return min(xs), min(ys), max(xs), max(ys)
+
+
+class BoundedPrimitive(PaintingPrimitive):
+    """A plane on which the surface is searched for, as far as the budget asks.
+
+    Parameters
+    ----------
+    copy : DigitalCopy
+    material : PaintingMaterial
+    budget_px : float
+        Parallax that may be left.
+        Views along the surface are searched exactly.
+
+    Raises
+    ------
+    RenderError
+        A budget that is not positive.
+    """
+
+    def __init__(
+        self,
+        copy: DigitalCopy,
+        material: PaintingMaterial,
+        *,
+        budget_px: float,
+    ) -> None:
+        if not 0 < budget_px < math.inf:
+            raise RenderError(f"the error budget must be positive, not {budget_px} px")
+        material.prepare_search()
+        low, high = bounds(copy)
+        plane = np.array([[x, y, 0.0] for y in (0.0, 1.0) for x in (0.0, 1.0)])
+        corners, faces = box(low, high)
+        triangles = np.concatenate([[[0, 1, 3], [0, 3, 2]], faces + len(plane)])
+        super().__init__(
+            np.concatenate([plane, corners]), triangles, material, _shaders(Search.GRAZING)
+        )
+        self._shape = SurfaceShape.of(copy.height_field, material.height_levels)
+        self._budget_px = budget_px
+        self._exact_doubles = exact_doubles(copy)
+        self._search = Search.GRAZING
+
+    def look(self, eye: NDArray[np.float64], pixel_angle: float) -> None:
+        """Make ready for a view from a place (3,) of the canvas frame, pixels so many radians."""
+        needs = self._shape.needs(eye, pixel_angle, self._budget_px)
+        self._search = needs.search
+        if needs.search is Search.EXACT:
+            self.shaders, self._culled = EXACT_SHADERS, GL.GL_FRONT
+            self._uniforms, self._doubles = {}, self._exact_doubles
+            return
+        self.shaders = _shaders(needs.search, triangles=needs.triangles)
+        self._culled, self._doubles = GL.GL_BACK, {}
+        self._uniforms = {
+            "plane_rectangle": needs.rectangle,
+            "plane_height": needs.plane_mm,
+            "top": self._shape.high,
+            "plane_error": needs.plane_error_mm,
+            "budget": self._budget_px,
+        }
+
+    def _draw_triangles(self, camera: NDArray[np.float64]) -> None:
+        # The plane comes first in the buffer, the box for exact searches after it.
+        first, count = (6, 36) if self._search is Search.EXACT else (0, 6)
+        GL.glDrawElements(GL.GL_TRIANGLES, count, GL.GL_UNSIGNED_INT, ctypes.c_void_p(4 * first))
+
+
+def _shaders(search: Search, *, triangles: bool = False) -> tuple[str, str, str]:
+    return "bounded.vert", "bounded.frag", f"{search} TRIANGLES" if triangles else str(search)
