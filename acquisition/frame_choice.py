@@ -22,15 +22,11 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.even_steps import even_steps, step_counts
 from acquisition.fringes import Fringe, exposures_of_fringes, find_fringes
 from acquisition.gray_decoding import GrayCode, find_gray_code
 from acquisition.journal import SkipReason
-from acquisition.metering import (
-    FringeLight,
-    LightMap,
-    even_steps,
-    step_counts,
-)
+from acquisition.metering import FringeLight, LightMap
 from acquisition.patterns import Axis
 from acquisition.plan import Metering, Plan
 from acquisition.unwrapping import certainty_sigmas

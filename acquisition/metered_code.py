@@ -6,9 +6,10 @@ replayed, chooses the same.
 
 from __future__ import annotations
 
+from acquisition.even_steps import metering_steps
 from acquisition.frame_choice import Choice, choose_frames
 from acquisition.fringes import find_fringes
-from acquisition.metering import measure_light, metering_exposure, metering_steps
+from acquisition.metering import measure_light, metering_exposure
 from acquisition.plan import Plan, PlannedFrame, Purpose
 from acquisition.session_writer import SessionWriter
 

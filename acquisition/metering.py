@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.errors import DecodingError
+from acquisition.even_steps import metering_steps
 from acquisition.exposure_ratios import estimate_exposures
 from acquisition.frame_files import Samples
 from acquisition.frame_stream import ReadFrame
@@ -112,7 +113,8 @@ class LightMap:
 
     def variance(self, level: NDArray[np.float32]) -> NDArray[np.float32]:
         """Variance of samples that read as given."""
-        return np.maximum(self.noise.variance(level), QUANTISATION_VARIANCE).astype(np.float32)
+        variance = self.noise.variance(np.minimum(level, np.float32(self.saturation_level)))
+        return np.maximum(variance, QUANTISATION_VARIANCE).astype(np.float32)
 
     def information_per_step(
         self, light: FringeLight, exposure_s: float
@@ -145,42 +147,6 @@ class LightMap:
             information = np.square(modulation / np.float32(per_radian)) / (2 * variance)
         information[saturated | faint] = 0.0
         return information.astype(np.float32), saturated
-
-
-def metering_steps(fringe: Fringe, rule: Metering) -> tuple[str, ...]:
-    """Frames of a fringe that are enough for its modulation: fewest steps, spread evenly."""
-    return even_steps(fringe, fewest_steps(fringe, rule))
-
-
-def fewest_steps(fringe: Fringe, rule: Metering) -> int:
-    """Least number of evenly spread steps of a fringe that the rule allows."""
-    return min(n for n in range(1, fringe.steps + 1) if _divides(fringe, n, rule))
-
-
-def step_counts(fringe: Fringe, rule: Metering) -> tuple[int, ...]:
-    """Numbers of evenly spread steps that a fringe can be taken with, each part of the next.
-
-    Those of metering are part of all of them.
-    """
-    counts = [fewest_steps(fringe, rule)]
-    for count in range(counts[0] + 1, fringe.steps + 1):
-        if _divides(fringe, count, rule) and count % counts[-1] == 0:
-            counts.append(count)
-    return tuple(counts)
-
-
-def even_steps(fringe: Fringe, count: int) -> tuple[str, ...]:
-    """Frames of ``count`` evenly spread steps of a fringe."""
-    order = np.argsort(np.mod(fringe.shifts_rad, 2 * np.pi), kind="stable")
-    return tuple(fringe.frame_ids[i] for i in order[:: fringe.steps // count])
-
-
-def _divides(fringe: Fringe, count: int, rule: Metering) -> bool:
-    if count == fringe.steps:
-        return True
-    turns = np.sort(np.mod(fringe.shifts_rad, 2 * np.pi))
-    even = np.allclose(np.diff(turns), 2 * np.pi / fringe.steps, atol=1e-6)
-    return even and count >= rule.least_steps and fringe.steps % count == 0
 
 
 def flats_of(plan: Plan) -> tuple[dict[float, str], dict[float, str]]:
@@ -242,14 +208,15 @@ def measure_light(plan: Plan, read_frame: ReadFrame, *, exposure_s: float) -> Li
     white_ids, black_ids = flats_of(plan)
     whites = [read_frame(name) for name in white_ids.values()]
     blacks = [read_frame(name) for name in black_ids.values()]
-    noise = _with_slope(noise, fitted, blacks[0])
+    noise = _with_slope(noise, fitted, blacks)
     true_s, black_level = _exposures(list(white_ids), whites, blacks, noise, plan.saturation_level)
     merged = partial(
         _merged, noise=noise, black_level=black_level, saturation_level=plan.saturation_level
     )
     white = merged(whites, list(true_s.values()))
     black = merged(blacks, [true_s[e] for e in black_ids])
-    contrast = (white - black) / 2
+    with np.errstate(invalid="ignore"):
+        contrast = (white - black) / 2
     lit = np.isfinite(contrast) & (contrast * true_s[exposure_s] > _LIT * plan.saturation_level)
     return LightMap(
         white,
@@ -300,29 +267,41 @@ def _fit(
     return _Fit(part, modulation, saturated.ravel(), np.stack(rows), np.stack(columns))
 
 
-def _with_slope(noise: SampleNoise, fitted: list[_Fit], black: Samples) -> SampleNoise:
+def _with_slope(noise: SampleNoise, fitted: list[_Fit], blacks: list[Samples]) -> SampleNoise:
     """Noise by a straight line from that of a black frame to that of the fringes.
 
     Fringes on one grey cannot tell how noise grows with the light, and those on dark ones hardly
-    what there is without it. Second differences of a black frame tell that; those of every second
-    pixel, so that the colours of a mosaic are no texture.
+    what there is without it.
     """
-    if black.shape[1] < _LEAST_COLUMNS:
+    if blacks[0].shape[1] < _LEAST_COLUMNS:
         return noise
-    dark = black[_spread(len(black))].astype(np.float64)
-    second = dark[:, 4:] - 2 * dark[:, 2:-2] + dark[:, :-4]
-    dark_level = float(np.median(dark))
-    dark_variance = max(float(np.median(second**2)) / 6 / _CHI_SQUARE_MEDIAN, QUANTISATION_VARIANCE)
+    dark_level, dark_variance = _white_noise(blacks[0])
     if noise.gain > 0:
         # What is more than the fringes say is texture.
         dark_variance = min(dark_variance, float(noise.variance(np.array(dark_level))))
     lit_level = float(np.median(np.mean([fit.rows.mean(axis=0) for fit in fitted], axis=0)))
     rise = float(noise.variance(np.array(lit_level))) - dark_variance
-    if rise <= 0 or lit_level - dark_level < _CLEAR * dark_variance**0.5:
+    if lit_level - dark_level < _CLEAR * dark_variance**0.5:
+        # Fringes that hardly rise above the noise make it out to be too small.
+        return replace(noise, read_variance=max(noise.read_variance, _white_noise(blacks[-1])[1]))
+    if rise <= 0:
         return noise
     gain = rise / (lit_level - dark_level)
     # Below black there is nothing, and the line may fall below zero there.
     return replace(noise, read_variance=dark_variance - gain * dark_level, gain=gain)
+
+
+def _white_noise(black: Samples) -> tuple[float, float]:
+    """Level of a black frame, and variance by its second differences.
+
+    Those of every second pixel, so that the colours of a mosaic are no texture.
+    """
+    lines = black[_spread(len(black))].astype(np.float64)
+    second = lines[:, 4:] - 2 * lines[:, 2:-2] + lines[:, :-4]
+    # Medians of whole numbers are whole numbers.
+    second += np.random.default_rng(0).uniform(-0.5, 0.5, second.shape)
+    variance = float(np.median(second**2)) / 6 / _CHI_SQUARE_MEDIAN
+    return float(np.median(lines)), max(variance, QUANTISATION_VARIANCE)
 
 
 def _spread(count: int) -> NDArray[np.intp]:

@@ -275,8 +275,8 @@ class Plan(_PlanPart):
     def _can_be_metered(self) -> Plan:
         if self.metering is None:
             return self
-        fringed: set[str | None] = set()
         flats: dict[str | None, set[tuple[float | None, Pattern | None]]] = {}
+        exposures: dict[tuple[str | None, Pattern | None], set[float | None]] = {}
         for frame in self.frames:
             before = flats.setdefault(frame.camera_position, set())
             if not frame.is_metered:
@@ -285,10 +285,17 @@ class Plan(_PlanPart):
                 raise ValueError(
                     f"frame {frame.id}: metering takes white and black at its exposure before it"
                 )
-            elif isinstance(frame.pattern, PhaseShift):
-                fringed.add(frame.camera_position)
-        if not fringed:
+            else:
+                taken = exposures.setdefault((frame.camera_position, frame.pattern), set())
+                taken.add(frame.exposure_s)
+        if not any(isinstance(pattern, PhaseShift) for _, pattern in exposures):
             raise ValueError("metering chooses steps of fringes, and there are none")
+        for (place, pattern), taken in exposures.items():
+            if taken != {exposure for exposure, _ in flats[place]}:
+                raise ValueError(
+                    f"metering chooses among the same exposures of every pattern; {pattern} has "
+                    "others"
+                )
         return self
 
     @model_validator(mode="after")

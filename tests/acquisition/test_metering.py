@@ -10,16 +10,11 @@ from pydantic import ValidationError
 
 from acquisition.decoding import decode
 from acquisition.errors import SessionError
+from acquisition.even_steps import even_steps, metering_steps, step_counts
 from acquisition.frame_choice import choose_frames
 from acquisition.fringes import find_fringes
 from acquisition.journal import SkipReason
-from acquisition.metering import (
-    even_steps,
-    measure_light,
-    metering_exposure,
-    metering_steps,
-    step_counts,
-)
+from acquisition.metering import measure_light, metering_exposure
 from acquisition.patterns import Axis, Gray, PhaseShift, pattern_profile
 from acquisition.plan import Metering, Plan
 from acquisition.scan_plan import plan_structured_light
@@ -197,6 +192,31 @@ def test_few_pixels_want_no_exposure_of_their_own():
     assert chosen[skipped.id].pixels == 8
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(("white", "ambient"), [(0.0, 200.0), (1e9, 200.0), (2e4, 1e9), (0.0, 0.0)])
+@pytest.mark.parametrize("periods", [(16.3,), (320.0, 40.0)])
+def test_a_scene_without_any_light_or_with_too_much_is_no_reason_to_fail(white, ambient, periods):
+    """What cannot be decoded needs nothing; decoding will say why nothing was."""
+    plan = plan_of(periods=periods)
+    light, chosen, _, _ = metered(plan, Scene(white, ambient=ambient))
+    assert not np.isnan(light.white).any()
+    assert not np.isnan(light.fringes[0].modulation).any()
+    steps = [f for f in taken(plan, chosen).frames if isinstance(f.pattern, PhaseShift)]
+    assert len(steps) == 4 * len(periods)
+    # Noise alone may look like a fringe to a few of them.
+    assert all(chosen[f.id].pixels <= 5e-4 * WIDTH * HEIGHT for f in steps)
+
+
+def test_a_mosaic_is_metered_pixel_by_pixel():
+    rows, cols = np.mgrid[:HEIGHT, :WIDTH]
+    white = np.where((rows + cols) % 2, 3e4, 5e3)
+    light, chosen, read, _ = metered(plan_of(column_sigma_px=0.1), Scene(white))
+    assert light.noise.gain == pytest.approx(GAIN, rel=0.1)
+    assert light.white.reshape(white.shape)[0, :2] == pytest.approx([5.2e3, 3.02e4], rel=0.05)
+    found = decode(taken(plan_of(column_sigma_px=0.1), chosen), read)
+    assert found.valid.mean() > 0.95
+
+
 def test_gray_code_is_taken_at_as_few_exposures_as_its_bits_can_be_read_at():
     plan = plan_of()
     for white in (2e3, 2e4, 2.5e5, np.geomspace(1e3, 2.5e5, WIDTH)):
@@ -264,6 +284,7 @@ def test_a_plan_that_cannot_be_metered_is_refused():
         (plan.frames[1:], "takes white and black"),
         (plan.frames[::-1], "takes white and black"),
         (plan.frames[:6], "there are none"),
+        (plan.frames[:-1], "the same exposures of every pattern"),
     ):
         with pytest.raises(ValidationError, match=message):
             Plan.model_validate(plan.model_dump() | {"frames": [f.model_dump() for f in frames]})
