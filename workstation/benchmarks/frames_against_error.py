@@ -150,7 +150,7 @@ def draw_outcomes(outcomes: list[Outcome], file: Path) -> None:
         of_kind = sorted((o for o in outcomes if o.kind is kind), key=lambda o: o.frames)
         frames, errors = [o.frames for o in of_kind], [1000 * o.error_mm for o in of_kind]
         axes.plot(frames, errors, style, label=str(kind))
-        for outcome in of_kind:
+        for number, outcome in enumerate(of_kind):
             # Targets that ask for the same frames have one label.
             alike = [o.name for o in of_kind if o.frames == outcome.frames and _same(o, outcome)]
             if outcome.name != alike[0]:
@@ -159,7 +159,7 @@ def draw_outcomes(outcomes: list[Outcome], file: Path) -> None:
                 f"{', '.join(alike)}: {outcome.decoded:.0%}",
                 (outcome.frames, 1000 * outcome.error_mm),
                 textcoords="offset points",
-                xytext=(6, 5) if kind is PlanKind.FIXED else (-4, -12),
+                xytext=(6, 5) if kind is PlanKind.FIXED else (-4, -12 - 11 * (number % 2)),
                 fontsize=8,
             )
     axes.set_xlabel("frames taken")
