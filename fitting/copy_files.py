@@ -20,10 +20,12 @@ from acquisition.atomic_files import folder_in_progress
 from fitting.digital_copy import DigitalCopy, ReflectanceMaps, ReflectanceQuality
 from fitting.errors import CopyError, FittingError
 from fitting.height_field import HeightField
+from fitting.reflectance.microfacet import MicrofacetMaps
 from fitting.relief import Relief, ReliefBoxes
 
 FORMAT = "impasto-copy-1"
 COPY_FILE = "copy.json"
+MICROFACET_FILE = "ggx.exr"
 _REFLECTANCE = {"diffuse": "RGB", "specular": "RGB", "lobe": "CXYK"}
 _QUALITY_FILE = "reflectance-quality.exr"
 _QUALITY = {
@@ -38,7 +40,13 @@ _WHOLE_NUMBERS = {"samples", "flags"}
 _LARGEST_HALF = float(np.finfo(np.float16).max)
 
 
-def write_copy(copy: DigitalCopy, path: Path, *, replace: bool = False) -> None:
+def write_copy(
+    copy: DigitalCopy,
+    path: Path,
+    *,
+    replace: bool = False,
+    microfacets: MicrofacetMaps | None = None,
+) -> None:
     """Write a digital copy, whole or not at all.
 
     Parameters
@@ -48,6 +56,8 @@ def write_copy(copy: DigitalCopy, path: Path, *, replace: bool = False) -> None:
         Folder to make.
     replace : bool
         Whether a copy that is there already is replaced.
+    microfacets : MicrofacetMaps, optional
+        The reflectance as other viewers take it, for ``ggx.exr``.
 
     Raises
     ------
@@ -71,6 +81,8 @@ def write_copy(copy: DigitalCopy, path: Path, *, replace: bool = False) -> None:
         _write_exr(folder / "uncertainty.exr", {k: v.astype(np.float16) for k, v in sigma.items()})
         if copy.reflectance is not None:
             _write_reflectance(folder, copy.reflectance)
+        if microfacets is not None:
+            _write_microfacets(folder / MICROFACET_FILE, microfacets)
         (folder / COPY_FILE).write_text(json.dumps(_header(copy), indent=1, allow_nan=False))
 
 
@@ -203,6 +215,16 @@ def _write_reflectance(folder: Path, maps: ReflectanceMaps) -> None:
         stored = stored.reshape(*array.shape[:2], -1)
         layers |= {channel: stored[..., i] for i, channel in enumerate(_QUALITY[name])}
     _write_exr(folder / _QUALITY_FILE, layers)
+
+
+def _write_microfacets(path: Path, maps: MicrofacetMaps) -> None:
+    layers = {
+        f"{name}.{channel}": getattr(maps, name)[..., i].astype(np.float16)
+        for name in ("albedo", "f0")
+        for i, channel in enumerate("RGB")
+    }
+    layers |= {name: getattr(maps, name).astype(np.float16) for name in ("alpha", "error")}
+    _write_exr(path, layers)
 
 
 def _read_reflectance(path: Path, header: dict[str, Any]) -> ReflectanceMaps:

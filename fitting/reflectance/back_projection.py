@@ -184,6 +184,10 @@ class PhotographSampler:
         samples = RadianceSamples(view, light, radiance, variance, weight)
         return samples.limited(self.options.grazing_limit)
 
+    def normals(self, tile: Tile) -> Floats:
+        """Unit normals of the measured texels of a tile, in the order of their samples, (n, 3)."""
+        return self._surface(tile)[1][self.copy.height_field.mask[tile.slices]]
+
     def _look(
         self,
         photograph: Photograph,

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from fitting.digital_copy import ReflectanceMaps, ReflectanceQuality
+from fitting.digital_copy import DigitalCopy, ReflectanceMaps, ReflectanceQuality
 from fitting.errors import FittingError
 from fitting.reflectance.back_projection import PhotographSampler, Tile
 from fitting.reflectance.clusters import ClusterOptions, Palette, find_materials, fit_tile
 from fitting.reflectance.flags import TexelFlag
+from fitting.reflectance.normals import learned_spread, refine_normals, turned_samples
 from fitting.reflectance.samples import RadianceSamples
 from fitting.reflectance.solver import DEFAULT_OPTIONS, SolverOptions, TexelFits
 
@@ -30,10 +31,13 @@ class MapOptions:
     ----------
     clusters : ClusterOptions
     solver : SolverOptions
+    refine_normals : bool
+        Whether the texels' normals are fitted as well (:mod:`fitting.reflectance.normals`).
     """
 
     clusters: ClusterOptions = field(default_factory=ClusterOptions)
     solver: SolverOptions = DEFAULT_OPTIONS
+    refine_normals: bool = True
 
 
 @dataclass(frozen=True)
@@ -48,11 +52,30 @@ class FittedReflectance:
         The materials found.
     texels : int
         Texels fitted.
+    normal_xy : (rows, cols, 2) float32 array
+        Normals under which they were fitted.
+    slope_sigma : (rows, cols) float32 array
+        Their standard errors.
+    normal_spread : float
+        How much normals differ from those of the heights beyond the errors of both, as a slope;
+        zero where they were not refined.
     """
 
     maps: ReflectanceMaps
     palette: Palette
     texels: int
+    normal_xy: NDArray[np.float32]
+    slope_sigma: NDArray[np.float32]
+    normal_spread: float
+
+    def added_to(self, copy: DigitalCopy) -> DigitalCopy:
+        """The copy with this reflectance, and with the normals that go with it."""
+        return replace(
+            copy,
+            reflectance=self.maps,
+            normal_xy=self.normal_xy,
+            slope_sigma=self.slope_sigma,
+        )
 
 
 def fit_maps(
@@ -87,15 +110,24 @@ def fit_maps(
     """
     options = options or MapOptions()
     with guarded():
-        survey = survey_samples(sampler, options.clusters)
-        palette = find_materials(survey, cluster_options=options.clusters, options=options.solver)
+        palette, spread = _survey(sampler, options)
     mask = sampler.copy.height_field.mask
     maps = _empty_maps(mask.shape)
+    normal_xy, slope_sigma = sampler.copy.normal_xy.copy(), sampler.copy.slope_sigma.copy()
     done, total = 0, int(mask.sum())
     for tile in sampler.tiles():
         with guarded():
             samples = sampler.samples(tile)
             fits = fit_tile(samples, palette, options=options.solver)
+            if options.refine_normals:
+                own = mask[tile.slices]
+                prior = np.hypot(slope_sigma[tile.slices][own], spread)
+                before = sampler.normals(tile)
+                refined = refine_normals(samples, fits, palette, before, spread=prior)
+                normal_xy[tile.slices][own] = refined.normals[:, :2]
+                slope_sigma[tile.slices][own] = refined.sigma
+                samples = _turned(sampler, samples, before, refined.normals)
+                fits = fit_tile(samples, palette, options=options.solver)
             _store(maps, tile, mask[tile.slices], samples, fits)
         done += samples.texels
         advance(done / total)
@@ -106,27 +138,70 @@ def fit_maps(
             f"none of {total} texels has a sample: do the photographs show the canvas, and do the "
             "lamps stand before it?"
         )
-    return FittedReflectance(_without_holes(maps, fitted), palette, total)
+    return FittedReflectance(
+        _without_holes(maps, fitted), palette, total, normal_xy, slope_sigma, spread
+    )
 
 
-def survey_samples(sampler: PhotographSampler, options: ClusterOptions) -> RadianceSamples:
-    """Samples of texels from all over the copy, in small blocks, for finding its materials."""
+def _survey(sampler: PhotographSampler, options: MapOptions) -> tuple[Palette, float]:
+    """The materials, and how much normals vary below the texels."""
+    survey, normals, sigma = survey_samples(sampler, options.clusters)
+
+    def find(samples: RadianceSamples) -> Palette:
+        return find_materials(samples, cluster_options=options.clusters, options=options.solver)
+
+    palette = find(survey)
+    if not options.refine_normals:
+        return palette, 0.0
+    fits = fit_tile(survey, palette, options=options.solver)
+    spread = learned_spread(refine_normals(survey, fits, palette, normals), sigma)
+    refined = refine_normals(survey, fits, palette, normals, spread=np.hypot(sigma, spread))
+    # Misfit and priors were learned with normals that were off: once more without.
+    return find(_turned(sampler, survey, normals, refined.normals)), spread
+
+
+def _turned(
+    sampler: PhotographSampler,
+    samples: RadianceSamples,
+    normals: NDArray[np.float64],
+    refined: NDArray[np.float64],
+) -> RadianceSamples:
+    limit = sampler.options.grazing_limit
+    return turned_samples(samples, normals, refined, grazing_limit=limit)
+
+
+def survey_samples(
+    sampler: PhotographSampler, options: ClusterOptions
+) -> tuple[RadianceSamples, NDArray[np.float64], NDArray[np.float64]]:
+    """Samples of texels from all over the copy, in small blocks, for finding its materials.
+
+    Returns
+    -------
+    samples : RadianceSamples
+    normals : (n, 3) array
+    slope_sigma : (n,) array
+    """
     mask = sampler.copy.height_field.mask
     rng = np.random.default_rng(options.seed)
     wanted = _SURVEY * options.survey
-    parts, count = [], 0
+    parts, normals, sigma = [], [], []
+    count = 0
     for tile in _blocks(mask, rng):
         part = sampler.samples(tile)
-        parts.append(part.take(part.valid.any(axis=1)))
+        seen = part.valid.any(axis=1)
+        parts.append(part.take(seen))
+        normals.append(sampler.normals(tile)[seen])
+        sigma.append(sampler.copy.slope_sigma[tile.slices][mask[tile.slices]][seen])
         count += parts[-1].texels
         if count >= wanted:
             break
-    return RadianceSamples(
+    samples = RadianceSamples(
         *(
             np.concatenate([getattr(part, item.name) for part in parts])
             for item in fields(RadianceSamples)
         )
     )
+    return samples, np.concatenate(normals), np.concatenate(sigma).astype(np.float64)
 
 
 def _blocks(mask: NDArray[np.bool_], rng: np.random.Generator) -> Iterator[Tile]:

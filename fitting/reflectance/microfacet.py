@@ -2,9 +2,10 @@ r"""Lafortune lobes as GGX microfacets, for viewers that know no other reflectan
 
 What such viewers evaluate is :math:`a/\pi + D_\alpha V_\alpha F`, with the diffuse albedo a, GGX's
 distribution D (Walter et al., EGSR 2007), Smith's height-correlated visibility V (Heitz, JCGT 2014)
-and Schlick's Fresnel term :math:`F = F_0 + (1 - F_0)(1 - v \cdot h)^5` (1994). Diffuse light carries
-over as it is, :math:`a = \pi \rho_d`. For the highlight, F is linear in F_0: for each α of a grid
-the best F_0 follows from inner products of lobes over directions, and the best α is searched.
+and Schlick's Fresnel term :math:`F = F_0 + (1 - F_0)(1 - v \cdot h)^5` (1994). Diffuse light
+carries over as it is, :math:`a = \pi \rho_d`. For the highlight, F is linear in F_0: for each α of
+a grid the best F_0 follows from inner products of lobes over directions, and the best α is
+searched.
 
 The error of a texel is that of f cos θ, root mean square over directions of view and light up to
 65°, relative to that of f cos θ itself: the metric that measured paints are fitted under.

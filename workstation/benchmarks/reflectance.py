@@ -42,8 +42,10 @@ _TIMED_NLOPT = 40
 _CORNELL_BOUNDS = {"garnet_red": 0.249, "krylon_blue": 0.265}
 
 
-def bench(*, oracle_texels: int = 2000, timed_texels: int = 20000) -> list[Record]:
-    """Lobes against measured paint, a measured ball, NLopt, and the clock.
+def bench(
+    *, oracle_texels: int = 2000, timed_texels: int = 20000, painting_width: int | None = 240
+) -> list[Record]:
+    """Lobes against measured paint, a measured ball, NLopt, a simulated painting, and the clock.
 
     Parameters
     ----------
@@ -51,6 +53,8 @@ def bench(*, oracle_texels: int = 2000, timed_texels: int = 20000) -> list[Recor
         Texels held against NLopt: half of them with a highlight, half without.
     timed_texels : int
         Texels of the timed batch.
+    painting_width : int or None
+        Pixels of the simulated painting's photographs; None leaves the painting out.
     """
     records = []
     data = os.environ.get("IMPASTO_REAL_DATA")
@@ -60,7 +64,12 @@ def bench(*, oracle_texels: int = 2000, timed_texels: int = 20000) -> list[Recor
             *_ball(Path(data) / "diligent_ball"),
         ]
     ball = Path(data) / "diligent_ball" if data else None
-    return [*records, _oracle(oracle_texels, ball), *_speed(timed_texels)]
+    records += [_oracle(oracle_texels, ball), *_speed(timed_texels)]
+    if painting_width is not None:
+        from workstation.benchmarks.painted_reflectance import bench_painting
+
+        records += bench_painting(width=painting_width)
+    return records
 
 
 def _cornell(folder: Path) -> Iterator[Record]:

@@ -5,7 +5,8 @@ from workstation.benchmarks.reflectance import bench
 
 def test_records_without_measured_data(monkeypatch):
     monkeypatch.delenv("IMPASTO_REAL_DATA", raising=False)
-    records = {record.name: record for record in bench(oracle_texels=8, timed_texels=640)}
+    found = bench(oracle_texels=8, timed_texels=640, painting_width=None)
+    records = {record.name: record for record in found}
     assert set(records) == {
         "oracle.share_within",
         "solver.texels_per_s",
