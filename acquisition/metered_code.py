@@ -29,15 +29,19 @@ class MeteredCode:
         self._chosen: dict[str | None, dict[str, Choice]] = {}
 
     def asks_of(self, frame: PlannedFrame) -> bool:
-        """Whether frames before a planned one, which must be on the disk, tell if it is needed."""
+        """Whether frames before a planned one tell if it is needed."""
         return self._rule is not None and frame.is_metered
+
+    def reads_for(self, frame: PlannedFrame) -> bool:
+        """Whether frames will be read from the disk to tell, which must be there then."""
+        return self.asks_of(frame) and frame.camera_position not in self._chosen
 
     def frames_before(self, frame: PlannedFrame) -> list[PlannedFrame]:
         """Frames that must be taken before it can be told whether a planned one is needed.
 
         White and black frames must be on the disk.
         """
-        if not self.asks_of(frame) or frame.camera_position in self._chosen:
+        if not self.reads_for(frame):
             return []
         names = self._metering_frames(frame.camera_position)
         settled = self._writer.so_far.recorded

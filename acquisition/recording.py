@@ -101,7 +101,7 @@ def _needs(
     for number, planned in enumerate(writer.plan.frames):
         if planned.id not in missing:
             continue
-        if brackets.asks_of(number) or metered.asks_of(planned):
+        if brackets.asks_of(number) or metered.reads_for(planned):
             disk.settle()
         for frame in metered.frames_before(planned):
             missing.discard(frame.id)
