@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from calibration.lens import rotation
 from fitting.digital_copy import DigitalCopy
 from fitting.errors import FittingError
-from fitting.reflectance.colour_difference import delta_e_2000, lab_of_linear_rgb
+from fitting.reflectance.colour_difference import colour_difference
 from fitting.reflectance.photographs import Photograph, halved
 from fitting.reflectance.ray_kernels import BLOCKED
 from fitting.reflectance.relighting_kernels import relight
@@ -93,8 +93,7 @@ def compare(measured: Singles, rendered: Singles, *, name: str) -> Comparison:
     here, there = (np.minimum(image[both], white) / white for image in (measured, rendered))
     error = float(np.mean((here - there) ** 2))
     delta = np.full(both.shape, np.nan, np.float32)
-    lab = [lab_of_linear_rgb(np.maximum(image, 0.0)) for image in (here, there)]
-    delta[both] = delta_e_2000(*lab)
+    delta[both] = colour_difference(np.maximum(here, 0.0), np.maximum(there, 0.0))
     return Comparison(
         name,
         np.where(both[..., np.newaxis], measured, np.nan),
