@@ -10,12 +10,13 @@ and the radiance of a texel under it is ``f(l, v) · e · cos θ``, with f the r
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.errors import CalibrationError
+from calibration.lens import rotation, transform
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,44 @@ class Lamp:
         (..., 3) float64 array
             Linear RGB; zero behind the lamp.
         """
-        towards = self.position - points
-        squared = np.sum(towards**2, axis=-1)
-        cosine = np.maximum(-(towards @ self.axis) / np.sqrt(squared), 0.0)
-        return np.asarray((cosine**self.exponent / squared)[..., None] * self.intensity)
+        return np.asarray(
+            fall_off(self.position, self.axis, self.exponent, points)[..., None] * self.intensity
+        )
+
+    def transformed(self, rt_other_this: NDArray[np.float64]) -> Lamp:
+        """The same lamp in another frame, whose pose takes points of this frame to it.
+
+        Parameters
+        ----------
+        rt_other_this : (6,) array
+            Rodrigues, mm.
+        """
+        axis = rotation(rt_other_this) @ self.axis
+        return replace(self, position=transform(rt_other_this, self.position), axis=axis)
+
+
+def fall_off(
+    position: NDArray[np.float64],
+    axis: NDArray[np.float64],
+    exponent: float,
+    points: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """What lamps of unit intensity send to points that face them.
+
+    Parameters
+    ----------
+    position, axis : (..., 3) arrays
+        Of the lamps, mm and unit.
+    exponent : float
+    points : (..., 3) array
+        In mm; broadcast against the lamps.
+
+    Returns
+    -------
+    (...) float64 array
+        1/mm²; zero behind a lamp.
+    """
+    towards = position - points
+    squared = np.sum(towards**2, axis=-1)
+    cosine = np.maximum(-np.sum(towards * axis, axis=-1) / np.sqrt(squared), 0.0)
+    return np.asarray(cosine**exponent / squared)

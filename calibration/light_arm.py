@@ -1,0 +1,482 @@
+r"""The light arm: where its lamp is at every pose, and what it sends from there.
+
+A ring whose axis is z turns by the azimuth a; an arc on it carries the lamp at the elevation e:
+
+.. math:: L = c + R\,R_z(a)\,\rho\,(\cos\epsilon,\ -\sin\lambda\,\sin\epsilon,\
+   \cos\lambda\,\sin\epsilon), \qquad \epsilon = e + e_0 - s \cos(e + e_0)
+
+with the ring's pose (R, c) in the rig's frame, which holds the zero of the azimuth too, the radius
+ρ, the zero e₀ of the elevation, the lean λ of the arc and its sag s under gravity. The lamp shines
+at a point fixed to the ring and is that of :mod:`calibration.lamp`.
+
+What is fitted: highlights on mirror spheres, as directions from a sphere to the lamp, and the
+radiance of a flat white target. The spheres' places are fitted with them, held by their outlines:
+an error there is shared by all poses, and so belongs in the covariance. NLopt's SLSQP (D. Kraft,
+1988) minimises the sum of squares in parameters scaled by their own covariance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.arm_geometry import ArmParameters, initial_arm
+from calibration.errors import CalibrationError
+from calibration.lamp import Lamp, fall_off
+from calibration.lens import Lens
+from calibration.mirror_spheres import MirrorSphere
+from devices.interfaces import ArmPose
+
+_LEAST_POSES = 6
+# In scales of its own covariance the problem is nearly round: new ones are better than more steps.
+_EVALUATIONS = 8
+_SETTLED = 0.02
+_ROUNDS = 30
+_CONTRADICT = "its highlights or the target's radiance contradict one another"
+_STEP = 1e-6
+_PIXEL_STEP = 0.01
+# Chance below which a misfit is not taken for noise.
+_CHANCE = 1e-4
+_OUTLIER_SIGMAS = 6.0
+# Standard error of a light's direction beyond which a calibration is of no use.
+_LARGEST_SIGMA_DEG = 0.5
+
+
+@dataclass(frozen=True)
+class SphereHighlights:
+    """Highlights of the lamp on one sphere.
+
+    Attributes
+    ----------
+    sphere : MirrorSphere
+    pixels : (poses, 2) float64 array
+        NaN where none was found.
+    sigma_px : float
+        Standard error on either axis.
+    """
+
+    sphere: MirrorSphere
+    pixels: NDArray[np.float64]
+    sigma_px: float
+
+
+@dataclass(frozen=True)
+class TargetShading:
+    """Radiance of a flat white target under the lamp at each pose.
+
+    Attributes
+    ----------
+    points : (n, 3) float64 array
+        Of the target, in the rig's frame, mm.
+    normal : (3,) float64 array
+        Unit, towards the lamp.
+    radiance : (poses, n, 3) float64 array
+        Linear RGB relative to the white reference; NaN where there is none.
+    sigma : (poses, n, 3) float64 array
+    albedo : float
+        Of the target, which is matt.
+    """
+
+    points: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    radiance: NDArray[np.float64]
+    sigma: NDArray[np.float64]
+    albedo: float = 1.0
+
+
+@dataclass(frozen=True)
+class LightArm:
+    """A calibrated light arm, in the rig's frame (that of the camera).
+
+    Attributes
+    ----------
+    parameters : ArmParameters
+    covariance : (17, 17) float64 array
+        Of the parameters, in their order.
+    poses : tuple of ArmPose
+        That were fitted.
+    residual_deg : (poses,) float64 array
+        Angle by which the lamp misses where its highlights say it is, RMS over the spheres; NaN
+        where there was no highlight.
+    suspect : tuple of int
+        Poses whose highlights are off by more than noise explains.
+    inflation : float
+        By which variances were scaled, since all highlights are off by more than noise explains.
+    shading_excess : float
+        Likewise of the target's radiance: above 1, the lamp's anisotropy is another one, or the
+        target is not matt.
+    """
+
+    parameters: ArmParameters
+    covariance: NDArray[np.float64]
+    poses: tuple[ArmPose, ...]
+    residual_deg: NDArray[np.float64]
+    suspect: tuple[int, ...]
+    inflation: float
+    shading_excess: float
+
+    def lamp(self, pose: ArmPose) -> Lamp:
+        """The lamp at a pose."""
+        return self.parameters.lamp(pose)
+
+    def direction_covariance(
+        self, pose: ArmPose, point: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Covariance (3, 3), rad², of the unit vector from a point (3,) to the lamp."""
+        numbers = self.parameters.as_array()
+        sigmas = np.sqrt(np.diagonal(self.covariance))
+        jacobian = np.zeros((3, len(numbers)))
+        for number in np.flatnonzero(sigmas > 0):
+            step = np.zeros(len(numbers))
+            step[number] = 0.02 * sigmas[number]
+            ends = [
+                self.parameters.moved(sign * step).lamp(pose).directions(point) for sign in (1, -1)
+            ]
+            jacobian[:, number] = (ends[0] - ends[1]) / (2 * step[number])
+        return np.asarray(jacobian @ self.covariance @ jacobian.T)
+
+    def direction_sigma_deg(self, pose: ArmPose, point: NDArray[np.float64]) -> float:
+        """Standard error of the direction to the lamp along its worst axis, degrees."""
+        worst = np.linalg.eigvalsh(self.direction_covariance(pose, point))[-1]
+        return float(np.degrees(np.sqrt(worst)))
+
+
+def fit_light_arm(
+    poses: Sequence[ArmPose],
+    highlights: Sequence[SphereHighlights],
+    shading: TargetShading,
+    lens: Lens,
+) -> LightArm:
+    """Fit the arm and its lamp.
+
+    Parameters
+    ----------
+    poses : sequence of ArmPose
+        As the arm reports them.
+    highlights : sequence of SphereHighlights
+        Of two spheres or more.
+    shading : TargetShading
+    lens : Lens
+        Of the camera.
+
+    Returns
+    -------
+    LightArm
+
+    Raises
+    ------
+    CalibrationError
+        Too little was seen, shapes do not fit, or the fit does not determine the directions.
+    """
+    _check(poses, highlights, shading)
+    problem = _Problem(tuple(poses), tuple(highlights), shading, lens)
+    start = initial_arm(
+        problem.poses,
+        problem.spots,
+        level=_usual_level(shading),
+        target=shading.points.mean(axis=0),
+    )
+    numbers = np.concatenate([start.as_array(), np.zeros(3 * len(highlights))])
+    base = problem.around(start)
+    numbers = base.minimise(numbers)
+    misses = base.misses(numbers)
+    wild = np.sqrt(np.nansum(misses**2, axis=2)) > _OUTLIER_SIGMAS * max(
+        1.0, float(np.nanmedian(np.abs(misses))) / 0.6745
+    )
+    excess = base.shading_excess(numbers)
+    if wild.any() or excess > 1:
+        base = base.reweighted(wild, excess)
+        numbers = base.minimise(numbers)
+    return _result(base, numbers, misses=base.misses(numbers, rejected=True), excess=excess)
+
+
+def _check(
+    poses: Sequence[ArmPose], highlights: Sequence[SphereHighlights], shading: TargetShading
+) -> None:
+    if len(highlights) < 2:
+        raise CalibrationError(
+            f"{len(highlights)} mirror spheres: a lamp close by is found from two or more"
+        )
+    if len(poses) < _LEAST_POSES:
+        raise CalibrationError(
+            f"{len(poses)} poses of the light arm: {_LEAST_POSES} or more are needed"
+        )
+    for number, one in enumerate(highlights, start=1):
+        seen = np.isfinite(one.pixels)
+        if one.pixels.shape != (len(poses), 2) or not one.sigma_px > 0:
+            raise CalibrationError(
+                f"sphere {number}: a pixel per pose and a positive standard error are needed"
+            )
+        if seen.all(axis=1).sum() < _LEAST_POSES:
+            raise CalibrationError(
+                f"sphere {number} shows the lamp at {int(seen.all(axis=1).sum())} poses, and "
+                f"{_LEAST_POSES} are needed: turn it or choose poses that it reflects"
+            )
+    count = len(shading.points)
+    if shading.radiance.shape != (len(poses), count, 3) or shading.sigma.shape != (
+        shading.radiance.shape
+    ):
+        raise CalibrationError("the target's radiance is one RGB value per pose and point")
+    known = np.isfinite(shading.radiance)
+    if known.sum() < 100 or not (shading.sigma[known] > 0).all():
+        raise CalibrationError("the white target was hardly seen, or its errors are not positive")
+    if not (np.isfinite(shading.points).all() and np.isfinite(shading.normal).all()):
+        raise CalibrationError("the white target has points that are not finite")
+
+
+def _usual_level(shading: TargetShading) -> NDArray[np.float64]:
+    level = np.nanmedian(shading.radiance, axis=(0, 1)) * np.pi / shading.albedo
+    if not (level > 0).all():
+        raise CalibrationError("the white target is dark: was the lamp lit, and black subtracted?")
+    return np.asarray(level)
+
+
+def _with_lamp_of(
+    shading: TargetShading, arm: ArmParameters, poses: Sequence[ArmPose]
+) -> ArmParameters:
+    """The arm, its lamp that which explains the target best: linear in logarithms."""
+    places, axes = arm.positions(poses)[:, np.newaxis], arm.axes(poses)[:, np.newaxis]
+    towards = places - shading.points
+    distance = np.linalg.norm(towards, axis=-1)
+    facing = towards @ shading.normal / distance
+    from_axis = -np.sum(towards * axes, axis=-1) / distance
+    lit = (facing > 0.05) & (from_axis > 0.05)
+    shared = np.where(lit, distance**2 / np.where(lit, facing, 1), np.nan)
+    light = shading.radiance * shared[..., np.newaxis] * np.pi / shading.albedo
+    use = np.isfinite(light) & (light > 0)
+    if not use.any(axis=(0, 1)).all():
+        return arm
+    value = np.log(np.where(use, light, 1.0))
+    slope = np.log(np.where(lit, from_axis, 1.0))[..., np.newaxis] * np.ones(3)
+    count = use.sum(axis=(0, 1))
+    means = [np.where(use, a, 0).sum(axis=(0, 1)) / count for a in (value, slope)]
+    off = [np.where(use, a - mean, 0) for a, mean in zip((value, slope), means, strict=True)]
+    exponent = float(np.clip(np.sum(off[0] * off[1]) / max(np.sum(off[1] ** 2), 1e-12), 0.1, 100))
+    return replace(arm, exponent=exponent, intensity=np.exp(means[0] - exponent * means[1]))
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Residuals of all observations over their standard errors."""
+
+    poses: tuple[ArmPose, ...]
+    highlights: tuple[SphereHighlights, ...]
+    shading: TargetShading
+    lens: Lens
+    start: ArmParameters | None = None
+    left_out: NDArray[np.bool_] | None = None
+    excess: float = 1.0
+
+    @property
+    def spots(self) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+        """Points on each sphere and directions from them, (poses, 3), NaN where not seen."""
+        return [one.sphere.reflect(self.lens.unproject(one.pixels)) for one in self.highlights]
+
+    def around(self, start: ArmParameters) -> _Problem:
+        return replace(self, start=start)
+
+    def reweighted(self, left_out: NDArray[np.bool_], excess: float) -> _Problem:
+        return replace(self, left_out=left_out, excess=excess)
+
+    def misses(
+        self, numbers: NDArray[np.float64], *, rejected: bool = False
+    ) -> NDArray[np.float64]:
+        """(poses, spheres, 2) over their standard errors; NaN where not seen, or left out."""
+        arm, moves = self.split(numbers)
+        lamps = arm.positions(self.poses)
+        found = []
+        for one, move, (rays, axes) in zip(self.highlights, moves, self._whitening(), strict=True):
+            at, direction = one.sphere.reflect(rays, centre=one.sphere.centre + move)
+            towards = lamps - at
+            towards = towards / np.linalg.norm(towards, axis=1, keepdims=True)
+            found.append(np.einsum("kai,ki->ka", axes, towards - direction))
+        misses = np.stack(found, axis=1)
+        if self.left_out is not None and not rejected:
+            misses[self.left_out] = np.nan
+        return misses
+
+    def misses_deg(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(poses,) angle between lamp and reflected rays, RMS over the spheres."""
+        arm, moves = self.split(numbers)
+        lamps = arm.positions(self.poses)
+        squares = []
+        for one, move in zip(self.highlights, moves, strict=True):
+            rays = self.lens.unproject(one.pixels)
+            at, direction = one.sphere.reflect(rays, centre=one.sphere.centre + move)
+            towards = lamps - at
+            towards = towards / np.linalg.norm(towards, axis=1, keepdims=True)
+            squares.append(np.sum((towards - direction) ** 2, axis=1))
+        seen = np.isfinite(squares)
+        count = seen.sum(axis=0)
+        mean = np.where(seen, squares, 0).sum(axis=0) / np.where(count > 0, count, np.nan)
+        return np.asarray(np.degrees(np.sqrt(mean)))
+
+    def _whitening(self) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+        """Rays of each sphere's pixels, and axes (poses, 2, 3) in standard errors across them."""
+        cached = self.__dict__.get("_axes")
+        if cached is None:
+            cached = [self._axes_of(one) for one in self.highlights]
+            object.__setattr__(self, "_axes", cached)
+        return list(cached)
+
+    def _axes_of(self, one: SphereHighlights) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        rays = self.lens.unproject(one.pixels)
+        _, middle = one.sphere.reflect(rays)
+        across = [
+            one.sphere.reflect(self.lens.unproject(one.pixels + step))[1] - middle
+            for step in np.eye(2) * _PIXEL_STEP
+        ]
+        lever = np.stack(across, axis=2) / _PIXEL_STEP * one.sigma_px
+        return rays, np.linalg.pinv(np.nan_to_num(lever))
+
+    def shading_residuals(self, arm: ArmParameters) -> NDArray[np.float64]:
+        """(poses, points, 3) over their standard errors; NaN where not known."""
+        shading = self.shading
+        places = arm.positions(self.poses)[:, np.newaxis]
+        axes = arm.axes(self.poses)[:, np.newaxis]
+        towards = places - shading.points
+        cosine = np.maximum(towards @ shading.normal, 0) / np.linalg.norm(towards, axis=-1)
+        light = fall_off(places, axes, arm.exponent, shading.points) * cosine
+        predicted = light[..., np.newaxis] * arm.intensity * (shading.albedo / np.pi)
+        return np.asarray((predicted - shading.radiance) / (shading.sigma * np.sqrt(self.excess)))
+
+    def shading_excess(self, numbers: NDArray[np.float64]) -> float:
+        """Mean square of the target's residuals; 1 if it may be chance."""
+        from scipy.stats import chi2
+
+        residuals = self.shading_residuals(self.split(numbers)[0])
+        known = residuals[np.isfinite(residuals)]
+        total = float(np.sum(known**2)) * self.excess
+        return total / len(known) if chi2.sf(total, len(known)) < _CHANCE else 1.0
+
+    def residuals(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+        """All of them, the spheres' outlines and what is known of any arm among them."""
+        arm, moves = self.split(numbers)
+        parts = [self.misses(numbers).ravel(), self.shading_residuals(arm).ravel()]
+        for one, move in zip(self.highlights, moves, strict=True):
+            root = np.linalg.cholesky(one.sphere.covariance + 1e-12 * np.eye(3))
+            parts.append(np.linalg.solve(root, move))
+        parts.append(arm.prior_residuals())
+        together = np.concatenate(parts)
+        return np.where(np.isfinite(together), together, 0.0)
+
+    def jacobian(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Derivative of the residuals, by central differences."""
+        columns = []
+        for number, value in enumerate(numbers):
+            step = np.zeros_like(numbers)
+            step[number] = _STEP * max(1.0, abs(value))
+            ends = self.residuals(numbers + step) - self.residuals(numbers - step)
+            columns.append(ends / (2 * step[number]))
+        return np.stack(columns, axis=1)
+
+    def minimise(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Least sum of squares from a start, by NLopt."""
+        import nlopt
+
+        here = numbers
+        for _ in range(_ROUNDS):
+            jacobian = self.jacobian(here)
+            scale = np.linalg.norm(jacobian, axis=0)
+            scale[scale == 0] = 1.0
+            values, vectors = np.linalg.eigh((jacobian / scale).T @ (jacobian / scale))
+            stretch = vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1])) / scale[:, None]
+
+            # The step that is left, in standard errors.
+            if np.linalg.norm(stretch.T @ (jacobian.T @ self.residuals(here))) < _SETTLED:
+                break
+
+            def half_squares(
+                y: NDArray[np.float64],
+                gradient: NDArray[np.float64],
+                origin: NDArray[np.float64] = here,
+                axes: NDArray[np.float64] = stretch,
+            ) -> float:
+                at = origin + axes @ y
+                residuals = self.residuals(at)
+                if gradient.size:
+                    gradient[:] = axes.T @ (self.jacobian(at).T @ residuals)
+                return float(0.5 * residuals @ residuals)
+
+            # No step along an axis may change a number by more than it can be trusted for.
+            bound = 1 / np.max(np.abs(stretch) / self._reach(len(here))[:, None], axis=0)
+            optimiser = nlopt.opt(nlopt.LD_SLSQP, len(here))
+            optimiser.set_lower_bounds(-bound)
+            optimiser.set_upper_bounds(bound)
+            optimiser.set_min_objective(half_squares)
+            # In these scales a parameter's standard error is 1.
+            optimiser.set_ftol_abs(1e-4)
+            optimiser.set_xtol_abs(1e-2)
+            optimiser.set_maxeval(_EVALUATIONS)
+            try:
+                y = optimiser.optimize(np.zeros(len(here)))
+            except (nlopt.RoundoffLimited, RuntimeError, ValueError) as error:
+                raise CalibrationError(
+                    f"the light arm's fit failed ({error}): {_CONTRADICT}"
+                ) from error
+            here = here + stretch @ y
+        else:
+            raise CalibrationError("the light arm's fit did not end: " + _CONTRADICT)
+        return np.asarray(here)
+
+    def _reach(self, count: int) -> NDArray[np.float64]:
+        """Largest steps (count,) in angles and logarithms, root of the exponent, and mm."""
+        reach = np.full(count, 10.0)
+        reach[: len(reach) - 3 * len(self.highlights)] = 1.0
+        return reach
+
+    def split(self, numbers: NDArray[np.float64]) -> tuple[ArmParameters, NDArray[np.float64]]:
+        assert self.start is not None
+        count = len(self.start.as_array())
+        arm = self.start.moved(numbers[:count] - self.start.as_array())
+        return arm, numbers[count:].reshape(-1, 3)
+
+
+def _result(
+    problem: _Problem,
+    numbers: NDArray[np.float64],
+    *,
+    misses: NDArray[np.float64],
+    excess: float,
+) -> LightArm:
+    from scipy.stats import chi2
+
+    arm, _ = problem.split(numbers)
+    # Numbers count from the start's pose; the covariance is to count from the arm's own.
+    problem = problem.around(arm)
+    numbers = np.concatenate([arm.as_array(), numbers[len(arm.as_array()) :]])
+    jacobian = problem.jacobian(numbers)
+    scale = np.linalg.norm(jacobian, axis=0)
+    scale[scale == 0] = 1.0
+    normal = (jacobian / scale).T @ (jacobian / scale)
+    covariance = np.linalg.pinv(normal, rcond=1e-13, hermitian=True) / np.outer(scale, scale)
+    kept = problem.misses(numbers)
+    total, freedom = float(np.nansum(kept**2)), int(np.isfinite(kept).sum()) - 10
+    inflation = 1.0
+    if freedom > 0 and chi2.sf(total, freedom) < _CHANCE:
+        inflation = total / freedom
+    squares = np.nansum(misses**2, axis=(1, 2)) / inflation
+    seen = np.isfinite(misses).sum(axis=(1, 2))
+    chance = _CHANCE / len(problem.poses)
+    suspect = np.flatnonzero((seen > 0) & (chi2.sf(squares, np.maximum(seen, 1)) < chance))
+    count = len(arm.as_array())
+    fitted = LightArm(
+        arm,
+        covariance[:count, :count] * inflation,
+        problem.poses,
+        problem.misses_deg(numbers),
+        tuple(int(n) for n in suspect),
+        inflation,
+        excess,
+    )
+    middle = problem.shading.points.mean(axis=0)
+    worst = max(fitted.direction_sigma_deg(pose, middle) for pose in problem.poses)
+    if not worst <= _LARGEST_SIGMA_DEG:
+        raise CalibrationError(
+            f"light directions are known to {worst:.2g}° only: photograph more poses, spread over "
+            "azimuth and elevation, and put the spheres farther apart"
+        )
+    return fitted
