@@ -152,7 +152,7 @@ def _measure(
     middle = corners.mean(axis=0)
     inner = middle + _INNER * (corners - middle)
     mask = np.zeros(image.shape[:2], np.uint8)
-    cv2.fillConvexPoly(mask, np.round(inner).astype(np.int32), 1)
+    cv2.fillConvexPoly(mask, np.round(inner).astype(np.int32), (1,))
     samples = image[mask.astype(bool)]
     if len(samples) < _LEAST_PIXELS:
         raise CalibrationError("the colour chart's patches are too small: come nearer")
