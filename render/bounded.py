@@ -29,6 +29,11 @@ BUDGET_PX = 0.25
 
 # Slope of rays, horizontal over vertical, beyond which a plane is no way to carry them.
 _FLATTEST = 40.0
+# Levels by which the search is finer than what is shown, for the default budget.
+_FINER = 0.5
+# Steps after which a ray is left where it is: where texels are smaller than pixels, for the default
+# budget; and at most.
+_STEPS, _MOST_STEPS = 9, 48
 
 
 class Search(StrEnum):
@@ -53,6 +58,8 @@ class ViewNeeds:
         Height of the plane.
     plane_error_mm : float
         By which heights may differ from it.
+    level : float
+        Of the maps that are searched.
     rectangle : (float, float, float, float)
         Part of the plane on which the surface is seen: lowest X and Y, highest X and Y, mm.
     """
@@ -61,6 +68,7 @@ class ViewNeeds:
     triangles: bool
     plane_mm: float
     plane_error_mm: float
+    level: float
     rectangle: tuple[float, float, float, float]
 
 
@@ -110,7 +118,9 @@ class SurfaceShape:
         far = math.hypot(max(abs(x - x0), abs(x - x1)), max(abs(y - y0), abs(y - y1)))
         above = z - self.high
         if above <= 0 or far > _FLATTEST * above:
-            return ViewNeeds(Search.EXACT, True, self.median, self.high - self.low, self.corners)
+            return ViewNeeds(
+                Search.EXACT, True, self.median, self.high - self.low, 0.0, self.corners
+            )
         # Bounds over the canvas, each by itself: nearest place, flattest ray.
         nearest = math.hypot(near, above)
         flattest = far / math.hypot(far, above)
@@ -120,20 +130,26 @@ class SurfaceShape:
         error = max(self.high - middle, 1e-9)
         if error <= allowed:
             plane = min(max(self.median, self.high - allowed), self.low + allowed)
-            search = Search.PLANE
-        else:
-            plane = middle + (self.median - middle) * min(error / allowed - 1, 1.0)
-            level = max(math.log2(pixel_angle * nearest / self.pitch_mm), 0.0)
-            smooth = self.steepest[min(int(level), len(self.steepest) - 1)]
-            search = Search.FRONT if smooth * far < above else Search.GRAZING
-        differs = max(self.high - plane, plane - self.low)
+            return ViewNeeds(Search.PLANE, False, plane, error, 0.0, self._texel_centres)
+        plane = middle + (self.median - middle) * min(error / allowed - 1, 1.0)
+        level = max(math.log2(pixel_angle * nearest / self.pitch_mm), 0.0)
+        # What a coarser level smooths away must fall with the budget.
+        coarser = math.log2(budget_px / BUDGET_PX) - _FINER
+        slope = self.steepest[min(int(level), len(self.steepest) - 1)]
         return ViewNeeds(
-            search,
-            search is not Search.PLANE and pixel_angle * nearest < 0.7 * self.pitch_mm,
+            Search.FRONT if slope * far < above else Search.GRAZING,
+            pixel_angle * nearest < 0.7 * self.pitch_mm,
             plane,
-            differs,
+            max(self.high - plane, plane - self.low),
+            max(level + 0.5 * math.log2(nearest / above) + coarser, 0.0),
             self._seen_on_plane(x, y, z, plane),
         )
+
+    @property
+    def _texel_centres(self) -> tuple[float, float, float, float]:
+        x0, y0, x1, y1 = self.corners
+        half = 0.5 * self.pitch_mm
+        return x0 + half, y0 + half, x1 - half, y1 - half
 
     def _seen_on_plane(
         self, x: float, y: float, z: float, plane: float
@@ -199,6 +215,8 @@ class BoundedPrimitive(PaintingPrimitive):
             "plane_rectangle": needs.rectangle,
             "plane_height": needs.plane_mm,
             "top": self._shape.high,
+            "most_steps": _most_steps(needs, self._budget_px),
+            "search_level": needs.level,
             "plane_error": needs.plane_error_mm,
             "budget": self._budget_px,
         }
@@ -207,6 +225,12 @@ class BoundedPrimitive(PaintingPrimitive):
         # The plane comes first in the buffer, the box for exact searches after it.
         first, count = (6, 36) if self._search is Search.EXACT else (0, 6)
         GL.glDrawElements(GL.GL_TRIANGLES, count, GL.GL_UNSIGNED_INT, ctypes.c_void_p(4 * first))
+
+
+def _most_steps(needs: ViewNeeds, budget_px: float) -> int:
+    if needs.triangles:
+        return _MOST_STEPS
+    return min(round(_STEPS * max(1.0, BUDGET_PX / budget_px)), _MOST_STEPS)
 
 
 def _shaders(search: Search, *, triangles: bool = False) -> tuple[str, str, str]:

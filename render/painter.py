@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -223,6 +224,34 @@ class Painter:
         return self._shown(Shown.WORK, copy, view, mode, width, height, adaptive, budget_px)[
             ..., :2
         ]
+
+    def cost(
+        self,
+        copy: DigitalCopy,
+        view: View,
+        *,
+        mode: Mode,
+        width: int,
+        height: int,
+        adaptive: AdaptiveOptions | None = None,
+        budget_px: float = BUDGET_PX,
+    ) -> tuple[float, float]:
+        """Processor seconds of drawing the painting, and of the whole picture."""
+        self._renderer.painting_cpu_s = 0.0
+        began = time.process_time()
+        try:
+            self.paint(
+                copy,
+                view,
+                mode=mode,
+                width=width,
+                height=height,
+                adaptive=adaptive,
+                budget_px=budget_px,
+            )
+            return self._renderer.painting_cpu_s, time.process_time() - began
+        finally:
+            self._renderer.painting_cpu_s = None
 
     def _shown(
         self,

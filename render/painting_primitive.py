@@ -49,6 +49,7 @@ class PaintingPrimitive(pyrender.Primitive):
         self._uniforms = uniforms or {}
         self._doubles = doubles or {}
         self._culled = culled
+        self._counted = False
 
     def _add_to_context(self) -> None:
         self._vaid = GL.glGenVertexArrays(1)
@@ -67,8 +68,14 @@ class PaintingPrimitive(pyrender.Primitive):
         )
         GL.glBindVertexArray(0)
 
-    def draw(self, program: PaintingProgram, camera: NDArray[np.float64]) -> None:
-        """Draw with the program bound; ``camera`` is its position in the canvas frame, mm."""
+    def draw(
+        self, program: PaintingProgram, camera: NDArray[np.float64], *, counted: bool = False
+    ) -> None:
+        """Draw with the program bound; ``camera`` is its position in the canvas frame, mm.
+
+        ``counted`` adds up all fragments, the hidden ones too.
+        """
+        self._counted = counted
         for name, value in self._uniforms.items():
             program.set_uniform(name, value)
         for name, value in self._doubles.items():
@@ -76,12 +83,19 @@ class PaintingPrimitive(pyrender.Primitive):
         self._bind()
         self._set_state()
         self._draw_triangles(camera)
+        GL.glEnable(GL.GL_DEPTH_TEST)
+        GL.glDisable(GL.GL_BLEND)
         GL.glCullFace(GL.GL_BACK)
         self._unbind()
 
     def _set_state(self) -> None:
         GL.glPolygonMode(GL.GL_FRONT_AND_BACK, GL.GL_FILL)
-        GL.glDisable(GL.GL_BLEND)
+        if self._counted:
+            GL.glDisable(GL.GL_DEPTH_TEST)
+            GL.glEnable(GL.GL_BLEND)
+            GL.glBlendFunc(GL.GL_ONE, GL.GL_ONE)
+        else:
+            GL.glDisable(GL.GL_BLEND)
         if self._culled is None:
             GL.glDisable(GL.GL_CULL_FACE)
         else:

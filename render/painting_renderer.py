@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -25,6 +26,9 @@ class PaintingRenderer(pyrender.renderer.Renderer):
     ----------
     shown : Shown
         What paintings are drawn as.
+    painting_cpu_s : float or None
+        Where it is a number, the processor time of drawing paintings is added to it, and every
+        draw is waited for.
     """
 
     _main_fb: Any
@@ -35,6 +39,7 @@ class PaintingRenderer(pyrender.renderer.Renderer):
         self._program_cache = LinearProgramCache()
         self._painting_programs: dict[tuple[str, str, str, Shown], PaintingProgram] = {}
         self.shown = Shown.RADIANCE
+        self.painting_cpu_s: float | None = None
 
     def delete(self) -> None:
         """Free everything in the OpenGL context."""
@@ -83,6 +88,18 @@ class PaintingRenderer(pyrender.renderer.Renderer):
                 "a painting's node is scaled or sheared; a scene with paintings is in mm, and its "
                 "poses only turn and move"
             )
+        if self.painting_cpu_s is None:
+            self._draw_painting(primitive, pose, program)
+            return
+        GL.glFinish()
+        began = time.process_time()
+        self._draw_painting(primitive, pose, program)
+        GL.glFinish()
+        self.painting_cpu_s += time.process_time() - began
+
+    def _draw_painting(
+        self, primitive: PaintingPrimitive, pose: NDArray[np.float64], program: PaintingProgram
+    ) -> None:
         program.set_uniform("M", pose)
         program.set_uniform("pixel_angle", 2 / (self._projection[1, 1] * self.viewport_height))
         for name, value in primitive.material.uniforms.items():
@@ -91,9 +108,13 @@ class PaintingRenderer(pyrender.renderer.Renderer):
             if program.uses(name):
                 self._bind_texture(texture, name, program)
         to_canvas = np.linalg.inv(pose) @ self._camera_pose
+        if program.uses("depth_row"):
+            to_clip = self._projection @ np.linalg.inv(to_canvas)
+            program.set_uniform("depth_row", to_clip[2])
+            program.set_uniform("w_row", to_clip[3])
         if program.uses("eye"):
             self._set_rays(program, to_canvas)
-        primitive.draw(program, to_canvas[:3, 3])
+        primitive.draw(program, to_canvas[:3, 3], counted=self.shown is Shown.WORK)
 
     def _set_rays(self, program: PaintingProgram, to_canvas: NDArray[np.float64]) -> None:
         """Viewing rays as functions of the pixel, in double precision."""

@@ -86,12 +86,12 @@ class BoxesPrimitive(PaintingPrimitive):
         distance = np.linalg.norm(self._middles - camera[:2], axis=1)
         blended = blended[np.argsort(distance[blended], kind="stable")]
         self._draw_instances(opaque, alpha)
-        GL.glEnable(GL.GL_BLEND)
-        GL.glBlendFuncSeparate(
-            GL.GL_SRC_ALPHA, GL.GL_ONE_MINUS_SRC_ALPHA, GL.GL_ONE, GL.GL_ONE_MINUS_SRC_ALPHA
-        )
+        if not self._counted:
+            GL.glEnable(GL.GL_BLEND)
+            GL.glBlendFuncSeparate(
+                GL.GL_SRC_ALPHA, GL.GL_ONE_MINUS_SRC_ALPHA, GL.GL_ONE, GL.GL_ONE_MINUS_SRC_ALPHA
+            )
         self._draw_instances(blended, alpha)
-        GL.glDisable(GL.GL_BLEND)
 
     def _draw_instances(self, which: NDArray[np.int64], alpha: NDArray[np.float64]) -> None:
         if not len(which):

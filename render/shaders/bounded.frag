@@ -10,12 +10,21 @@ in vec3 canvas_position;
 uniform sampler2D search_map;    // height in mm, and slope below which the surface stays beside it
 uniform sampler2D height_map;    // mm; GAP where nothing was measured
 uniform ivec2 cells;
+uniform float search_level;      // of the search map
 uniform float top;               // mm, greatest height
 uniform float plane_error;       // mm, by which a height may differ from the plane's
 uniform float budget;            // pixels
+uniform int most_steps;
 const float GAP = -1e30;
-const int MOST_STEPS = 48;
-const float FINER = 1.5;
+// Steps longer than is safe, where a step that goes too deep is seen by less than a pixel and the
+// next comes up again; and how near is near enough, in budgets.
+#ifdef TRIANGLES
+const float RELAXED = 1.2;
+const float NEAR_ENOUGH = 0.5;
+#else
+const float RELAXED = 1.5;
+const float NEAR_ENOUGH = 0.8;
+#endif
 
 #ifdef TRIANGLES
 // To where the ray meets the triangle below z; unchanged where there is none.
@@ -48,11 +57,11 @@ void main() {
     vec2 uv = texture_coordinate(canvas_position.xy);
     vec4 relief = textureLod(relief_map, uv, level);
 #else
-    float tolerance = 0.35 * budget / parallax;
 #ifdef FRONT
+    float tolerance = 0.3 * budget / parallax;
     vec2 uv;
     vec4 relief;
-    for (; steps < MOST_STEPS; ++steps) {
+    for (; steps < most_steps; ++steps) {
         uv = texture_coordinate(plane_xy + z * drift);
         relief = textureLod(relief_map, uv, level);
         if (abs(z - relief.x) <= tolerance) break;
@@ -60,13 +69,14 @@ void main() {
     }
     z = relief.x;
 #else
+    float tolerance = NEAR_ENOUGH * budget / parallax;
     float reach = length(drift);
     z = top;
-    for (; steps < MOST_STEPS; ++steps) {
-        vec2 found = textureLod(search_map, texture_coordinate(plane_xy + z * drift), level - FINER).xy;
+    for (; steps < most_steps; ++steps) {
+        vec2 found = textureLod(search_map, texture_coordinate(plane_xy + z * drift), search_level).xy;
         float clearance = z - found.x;
         if (abs(clearance) <= tolerance) { z = found.x; break; }
-        z -= clearance / (1.0 + found.y * reach);
+        z -= RELAXED * clearance / (1.0 + found.y * reach);
     }
 #endif
 #ifdef TRIANGLES
@@ -85,12 +95,13 @@ void main() {
 #endif
 #endif
 #endif
-    // Between the outermost texel centres, where the surface ends.
-    vec2 inside = uv * vec2(cells + 1) - 0.5;
-    if (relief.w < 0.5 || any(lessThan(inside, vec2(0.0))) || any(greaterThan(inside, vec2(cells)))) {
-        MISS(steps);
-    }
+    if (relief.w < 0.5) MISS(steps);
     vec3 p = vec3(plane_xy + z * drift, z);
+#ifndef PLANE
+    // The surface ends at the outermost texel centres.
+    vec2 beyond = abs(uv - 0.5) * vec2(cells + 1) - 0.5 * vec2(cells);
+    if (max(beyond.x, beyond.y) > 0.0) MISS(steps);
     gl_FragDepth = depth_of(p);
+#endif
     show(p, uv, relief, level, 1.0, steps);
 }

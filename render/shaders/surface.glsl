@@ -35,6 +35,8 @@ uniform float pixel_angle;       // radians, at the middle of the picture
 uniform mat4 M;
 uniform mat4 P;
 uniform mat4 V;
+uniform vec4 depth_row;          // of P V M, for the depth in the canvas frame
+uniform vec4 w_row;
 uniform vec3 cam_pos;
 
 uniform vec3 ambient_light;
@@ -65,8 +67,7 @@ float level_of_detail(vec3 point) {
 }
 
 float depth_of(vec3 canvas_point) {
-    vec4 clip = P * (V * (M * vec4(canvas_point, 1.0)));
-    return 0.5 * clip.z / clip.w + 0.5;
+    return 0.5 * dot(depth_row, vec4(canvas_point, 1.0)) / dot(w_row, vec4(canvas_point, 1.0)) + 0.5;
 }
 
 // Eq. 1's parameters at a place.

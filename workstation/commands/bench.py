@@ -17,6 +17,7 @@ class Benchmark(StrEnum):
     SURFACE = "surface"
     CALIBRATE = "calibrate"
     REFLECTANCE = "reflectance"
+    RENDER = "render"
     DEMO = "demo"
     STRESS = "stress"
 

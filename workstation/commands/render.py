@@ -24,7 +24,7 @@ def render(
     copy: Annotated[Path, typer.Argument(metavar="COPY", help="Folder of a digital copy.")],
     out: Annotated[Path, typer.Option(help="PNG or EXR file; a folder with --mode or --view all.")],
     mode: Annotated[
-        str, typer.Option(help="mesh, bump, relief, hybrid, adaptive, or all.")
+        str, typer.Option(help="mesh, bump, relief, hybrid, adaptive, exact, bounded, or all.")
     ] = "adaptive",
     view: Annotated[
         str,
@@ -50,6 +50,9 @@ def render(
     epsilon_max: Annotated[
         float, typer.Option(help="ε_max of eq. 2: above it a box is opaque.")
     ] = 0.002,
+    budget: Annotated[
+        float, typer.Option(help="Parallax that bounded may leave, in pixels.")
+    ] = 0.25,
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write figures here.")] = None,
 ) -> None:
     """Render a digital copy.
@@ -97,6 +100,7 @@ def render(
                 height=height,
                 light=lamp,
                 adaptive=adaptive,
+                budget_px=budget,
             )
             seconds = round(time.perf_counter() - started, 4)
             covered = float(picture.coverage.mean())

@@ -1,0 +1,98 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from synthetic_copy import make_copy, strokes
+
+from render.bounded import Search, SurfaceShape
+from render.errors import RenderError
+from render.painting_maps import PaintingMaterial
+from render.painting_node import Mode
+from render.views import NamedView, View, named_view
+
+WIDTH, HEIGHT = 320, 240
+
+
+@pytest.fixture(scope="module")
+def copy():
+    return make_copy(strokes(), cell=12, smallest_mm2=2.0)
+
+
+def parallax_px(painter, copy, view, **options):
+    """Height missed on each viewing ray, as the pixels it is seen off by."""
+    shown, true = (
+        painter.points(copy, view, mode=mode, width=WIDTH, height=HEIGHT, **options)
+        for mode in (Mode.BOUNDED, Mode.EXACT)
+    )
+    away = true - view.position
+    d = np.linalg.norm(away, axis=-1)
+    sine = np.linalg.norm(away[..., :2], axis=-1) / d
+    pixel_angle = 2 * np.tan(view.field_of_view / 2) / HEIGHT
+    differs = np.isfinite(shown[..., 0]) != np.isfinite(true[..., 0])
+    return np.abs(shown[..., 2] - true[..., 2]) * sine / (d * pixel_angle), differs
+
+
+@pytest.mark.parametrize("name", list(NamedView))
+@pytest.mark.parametrize("budget", [0.25, 1.0])
+def test_parallax_stays_within_the_budget(painter, copy, name, budget):
+    view = named_view(copy, name, aspect=WIDTH / HEIGHT)
+    parallax, differs = parallax_px(painter, copy, view, budget_px=budget)
+    assert np.nanquantile(parallax, 0.95) <= budget
+    # The outline's place is known to the budget, or to a pixel if that is more.
+    assert differs.sum() <= 0.25 * (WIDTH + HEIGHT)
+
+
+def test_half_the_budget_leaves_about_half_the_parallax(painter):
+    # Texels smaller than pixels: otherwise the triangles themselves are hit.
+    copy = make_copy(strokes(480, 640, 0.125), pitch=0.125)
+    view = named_view(copy, NamedView.INSHOT_GRAZING, aspect=WIDTH / HEIGHT)
+    left = [
+        np.nanquantile(parallax_px(painter, copy, view, budget_px=budget)[0], 0.95)
+        for budget in (1.0, 0.5, 0.25, 0.125)
+    ]
+    assert (np.diff(left) < 0).all()
+    assert 0.03 < left[-1] / left[0] < 0.35
+
+
+def test_the_work_grows_with_the_parallax_there_is(painter, copy):
+    steps = {}
+    for name in NamedView:
+        view = named_view(copy, name, aspect=WIDTH / HEIGHT)
+        work = painter.work(copy, view, mode=Mode.BOUNDED, width=WIDTH, height=HEIGHT)
+        steps[name] = work[..., 0].sum() / max(work[..., 1].sum(), 1)
+    assert steps[NamedView.FAR_FRONT] == 0
+    assert steps[NamedView.INSHOT_FRONT] < steps[NamedView.INSHOT_GRAZING]
+    assert steps[NamedView.INSHOT_GRAZING] < steps[NamedView.NEAR_GRAZING]
+
+
+def test_a_view_along_the_surface_is_searched_exactly(painter, copy):
+    for view in (
+        View(np.deg2rad(152.0), np.deg2rad(7.0), 16.0, np.deg2rad(60.0)),
+        View(np.deg2rad(-90.0), 0.0, 120.0),
+        View(np.deg2rad(-60.0), np.deg2rad(-30.0), 120.0),
+    ):
+        parallax, differs = parallax_px(painter, copy, view)
+        assert not differs.any()
+        assert np.nanmax(parallax, initial=0.0) == 0.0
+
+
+def test_needs_change_from_a_plane_to_a_search_as_the_camera_nears(copy):
+    shape = SurfaceShape.of(copy.height_field, PaintingMaterial(copy).height_levels)
+    low, high = copy.height_field.height_range_mm
+    found, planes = [], []
+    for distance in np.geomspace(2e4, 60.0, 400):
+        needs = shape.needs(np.array([0.0, -0.3, 1.0]) * distance, 0.001, 0.25)
+        found.append(needs.search)
+        planes.append(needs.plane_mm)
+        assert low <= needs.plane_mm <= high
+    assert found[0] is Search.PLANE
+    assert found[-1] is not Search.PLANE
+    # Nothing jumps: the plane moves smoothly from where it hides its error to the median.
+    assert np.abs(np.diff(planes)).max() < 0.05
+
+
+@pytest.mark.parametrize("budget", [0.0, -1.0, np.nan, np.inf])
+def test_budgets_that_make_no_sense_are_refused(painter, copy, budget):
+    view = named_view(copy, NamedView.INSHOT_FRONT, aspect=1.0)
+    with pytest.raises(RenderError, match="budget"):
+        painter.paint(copy, view, mode=Mode.BOUNDED, width=16, height=16, budget_px=budget)

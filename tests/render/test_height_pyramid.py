@@ -1,0 +1,49 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from render.height_pyramid import GAP, cone_slopes, min_max_pyramid
+
+
+def test_every_square_holds_the_heights_of_its_cells():
+    height = np.random.default_rng(0).standard_normal((21, 45)).astype(np.float32)
+    levels = min_max_pyramid(height)
+    assert levels[0].shape == (32, 64, 2)
+    assert levels[-1].shape == (1, 1, 2)
+    for number, level in enumerate(levels):
+        side = 2**number
+        for row in range(0, 20 // side):
+            for col in range(0, 44 // side):
+                part = height[row * side : (row + 1) * side + 1, col * side : (col + 1) * side + 1]
+                assert level[row, col, 0] == part.min()
+                assert level[row, col, 1] == part.max()
+
+
+def test_gaps_and_what_is_beyond_the_grid_have_no_least_height():
+    height = np.ones((5, 5), np.float32)
+    height[2, 2] = GAP
+    first, second, top = min_max_pyramid(height)
+    assert (first[1:3, 1:3, 0] == GAP).all()
+    assert (first[..., 1] == 1).all()
+    assert first[0, 0, 0] == 1
+    assert (second[..., 0] == GAP).all()
+    assert top[0, 0].tolist() == [GAP, 1]
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 7), (7, 1)])
+def test_single_rows_have_no_cell(shape):
+    assert (min_max_pyramid(np.ones(shape, np.float32))[-1] == GAP).all()
+
+
+def test_no_height_stands_in_a_cone():
+    random = np.random.default_rng(1)
+    height = random.standard_normal((40, 50)).astype(np.float32).cumsum(axis=1)
+    slopes = cone_slopes(height, 0.5)
+    rows, cols = np.mgrid[0:40, 0:50]
+    for row, col in random.integers(0, [40, 50], (60, 2)):
+        away = 0.5 * np.hypot(rows - row, cols - col)
+        assert (height <= height[row, col] + slopes[row, col] * away + 1e-4).all()
+    # Nor are cones needlessly narrow: over a plane they are as wide as its slope, or nearly.
+    ramp = np.broadcast_to(0.1 * np.arange(50, dtype=np.float32), (40, 50))
+    assert cone_slopes(ramp, 0.5)[20, 25] == pytest.approx(0.2, rel=1.01)
