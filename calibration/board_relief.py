@@ -24,6 +24,7 @@ PITCH_MM = 0.25
 SIGMA_MM = 1.5
 _CORNER_WINDOW_PX = 12
 _WHITE_SHARE = 0.5
+_LEAST_CORNERS_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,8 @@ class BoardRelief:
     plane_rms_mm : float
         Single heights on the white part against their plane, noise and relief together.
     scale_error : float
-        Length of the board's diagonals over the nominal, less one.
+        Length of the board's diagonals over the nominal, less one; where an outer corner is not
+        seen, the spread of the corners.
     """
 
     height_mm: NDArray[np.float64]
@@ -88,7 +90,7 @@ def reconstruct_board(
     ----------
     correspondence : CorrespondenceMap
     corners : (rows, columns, 2) array
-        In the camera's full frame, all seen.
+        In the camera's full frame, at least half of them seen.
     board : Chessboard
     rig : RigGeometry
     start_mm : float
@@ -101,9 +103,13 @@ def reconstruct_board(
     """
     points, variance = reconstruct_points(correspondence, rig, start_mm=start_mm)
     found = _corner_points(points, variance, corners, correspondence.origin, rig)
-    if not np.isfinite(found).all():
-        raise CalibrationError("the relief of a board takes all of its corners decoded")
-    turn, shift = _board_frame(found, board.points)
+    known = np.isfinite(found).all(axis=-1)
+    if known.sum() < _LEAST_CORNERS_SHARE * known.size:
+        raise CalibrationError(
+            f"the relief of a board takes most of its corners decoded, not {int(known.sum())} of "
+            f"{known.size}"
+        )
+    turn, shift = _board_frame(found[known], board.points[known])
     on_board = points @ turn.T + shift
     spread = variance * (np.nan_to_num(points / points[..., 2:]) @ turn[2]) ** 2
     white = correspondence.ambient > _WHITE_SHARE * np.nanpercentile(correspondence.ambient, 95)
@@ -112,15 +118,12 @@ def reconstruct_board(
     plane = on_board[white & inside]
     terms = np.column_stack([np.ones(len(plane)), plane[:, :2]])
     left = plane[:, 2] - terms @ np.linalg.lstsq(terms, plane[:, 2], rcond=None)[0]
-    corner_pairs = ((0, 0, -1, -1), (0, -1, -1, 0))
-    diagonal = np.mean([np.linalg.norm(found[a, b] - found[c, d]) for a, b, c, d in corner_pairs])
-    nominal = np.linalg.norm(board.points[-1, -1])
     return BoardRelief(
         _gridded(on_board, spread, board),
         _white_noise(height),
         float(np.sqrt(np.nanmedian(spread[white & inside]))),
         float(np.std(left)),
-        float(diagonal / nominal - 1),
+        _scale_error(found, board.points),
     )
 
 
@@ -172,6 +175,17 @@ def _corner_points(
             design * weight[:, np.newaxis], points[window][good][:, 2] * weight, rcond=None
         )[0][0]
     return depths[..., np.newaxis] * rig.camera.unproject(corners + origin)
+
+
+def _scale_error(found: NDArray[np.float64], nominal: NDArray[np.float64]) -> float:
+    """Relative error of the diagonals, or of the spread of the corners where one is not seen."""
+    pairs = ((0, 0, -1, -1), (0, -1, -1, 0))
+    diagonal = np.mean([np.linalg.norm(found[a, b] - found[c, d]) for a, b, c, d in pairs])
+    if np.isfinite(diagonal):
+        return float(diagonal / np.linalg.norm(nominal[-1, -1]) - 1)
+    known = np.isfinite(found).all(axis=-1)
+    spread = [np.linalg.norm(p[known] - p[known].mean(axis=0)) for p in (found, nominal)]
+    return float(spread[0] / spread[1] - 1)
 
 
 def _board_frame(

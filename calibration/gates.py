@@ -93,6 +93,8 @@ class Verdict:
         Whether failing refuses the calibration; otherwise it is flagged.
     remedy : str
         What is wrong and what to do; empty if the gate is passed.
+    subject : str
+        The lens, where each has a gate of its own.
     """
 
     gate: Gate
@@ -101,6 +103,7 @@ class Verdict:
     passed: bool
     refuses: bool
     remedy: str
+    subject: str = ""
 
 
 @dataclass(frozen=True)
@@ -192,6 +195,7 @@ def check_calibration(
                 limits.difference_px,
                 f"two calibrations of the {name} from half of the views each differ by "
                 f"{difference.rms_px:.2f} px; record more poses",
+                subject=name,
             )
         )
     verdicts += [_scale(calibration, distance, limits) for distance in distances]
@@ -231,10 +235,16 @@ def covered_cells(calibration: ProcamCalibration, number: int) -> NDArray[np.boo
 
 
 def _verdict(
-    gate: Gate, value: float, bound: float, remedy: str, *, refuses: bool = True
+    gate: Gate,
+    value: float,
+    bound: float,
+    remedy: str,
+    *,
+    refuses: bool = True,
+    subject: str = "",
 ) -> Verdict:
     passed = bool(value <= bound)
-    return Verdict(gate, float(value), bound, passed, refuses, "" if passed else remedy)
+    return Verdict(gate, float(value), bound, passed, refuses, "" if passed else remedy, subject)
 
 
 def _tilt(calibration: ProcamCalibration, limits: GateLimits) -> Verdict:
@@ -282,7 +292,8 @@ def _coverage(calibration: ProcamCalibration, number: int, limits: GateLimits) -
         f"fill {part} of it"
     )
     bound = limits.covered_share
-    return Verdict(Gate.COVERAGE, share, bound, passed, True, "" if passed else remedy)
+    name = LENS_NAMES[number]
+    return Verdict(Gate.COVERAGE, share, bound, passed, True, "" if passed else remedy, name)
 
 
 def _residuals(calibration: ProcamCalibration, limits: GateLimits) -> Verdict:

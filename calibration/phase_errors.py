@@ -38,6 +38,7 @@ BLUR_WIDTHS_PX = (0.7, 1.5, 3.0, 6.0)
 _DEGREE = 8
 _TUKEY = 4.7
 _ROUNDS = 8
+_SETTLED = 1e-4
 _MOST_PIXELS = 120_000
 _LEAST_PIXELS = 2_000
 # Modulation below which a gradient over it is noise, over the noise of a sample.
@@ -206,12 +207,15 @@ def _robust_fit(
     design: NDArray[np.float64], observed: NDArray[np.float64], weight: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Weighted least squares with Tukey's function, and the solution's standard errors."""
-    robust, scale = weight, 1.0
+    robust, scale = weight, np.inf
     for _ in range(_ROUNDS):
+        before = scale
         weighted = design * robust[:, np.newaxis]
         normal = weighted.T @ weighted
         solution = np.linalg.lstsq(normal, weighted.T @ (observed * robust), rcond=1e-12)[0]
         residual = (observed - design @ solution) * weight
         scale = 1.4826 * float(np.median(np.abs(residual))) + 1e-12
+        if abs(scale - before) < _SETTLED * scale:
+            break
         robust = weight * np.clip(1 - (residual / (_TUKEY * scale)) ** 2, 0, None)
     return solution, scale * np.sqrt(np.diag(np.linalg.pinv(normal, rcond=1e-12)))

@@ -6,6 +6,7 @@ import typer
 
 from workstation.commands import (
     bench,
+    calibrate,
     demo,
     devices,
     import_capture,
@@ -22,6 +23,7 @@ from workstation.commands import (
 _COMMANDS = (
     demo,
     devices,
+    calibrate,
     scan,
     photograph,
     resume,

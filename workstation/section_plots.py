@@ -1,0 +1,57 @@
+"""Pictures of the report's optional parts: the lamp's positions, and response curves."""
+
+from __future__ import annotations
+
+import base64
+from io import BytesIO
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from workstation.report_sections import LightSection, ResponseCurve
+
+_DPI = 150
+
+
+def light_picture(lights: LightSection) -> str:
+    """The lamp's positions in space, coloured by what the model leaves, as base64 PNG."""
+    figure = Figure(figsize=(4.6, 4.2), dpi=_DPI)
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot(projection="3d")
+    x, y, z = lights.position_mm.T
+    shown = axes.scatter(x, y, z, c=lights.residual_deg, cmap="viridis", s=18)
+    for one in lights.position_mm:
+        axes.plot(*np.stack([one, one * [1, 1, 0]], axis=1), color="#bbb", lw=0.5)
+    axes.scatter([0], [0], [0], color="#b3402a", marker="s", s=24)
+    axes.set_xlabel("X, mm", fontsize=8)
+    axes.set_ylabel("Y, mm", fontsize=8)
+    axes.set_zlabel("Z, mm", fontsize=8)
+    axes.tick_params(labelsize=7)
+    bar = figure.colorbar(shown, ax=axes, shrink=0.6, pad=0.12)
+    bar.set_label("residual, °", fontsize=8)
+    bar.ax.tick_params(labelsize=7)
+    return _png(figure)
+
+
+def response_picture(curve: ResponseCurve) -> str:
+    """A response and, where known, its standard error, as base64 PNG."""
+    figure = Figure(figsize=(4.6, 3.2), layout="constrained", dpi=_DPI)
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.plot(curve.x, curve.y, ".-", color="#204a6b", ms=4, lw=1)
+    if curve.sigma_y is not None:
+        axes.fill_between(
+            curve.x, curve.y - curve.sigma_y, curve.y + curve.sigma_y, color="#9db8cc", alpha=0.6
+        )
+    axes.set_title(curve.name, fontsize=9)
+    axes.set_xlabel(curve.input_name, fontsize=9)
+    axes.set_ylabel(curve.output_name, fontsize=9)
+    axes.tick_params(labelsize=8)
+    return _png(figure)
+
+
+def _png(figure: Figure) -> str:
+    buffer = BytesIO()
+    figure.savefig(buffer, format="png", dpi=_DPI)
+    return base64.b64encode(buffer.getvalue()).decode()
