@@ -5,12 +5,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from acquisition.decoding import decode
 from acquisition.patterns import Axis
+from acquisition.photograph_plan import PhotographChoices, plan_photographs
+from acquisition.plan import Purpose
+from acquisition.recording import record_plan
+from acquisition.session import Session
+from acquisition.session_writer import SessionWriter
 from calibration.code_blocks import find_blocks
 from calibration.code_pairs import pair_by_code
 from calibration.errors import CalibrationError, RegistrationError
 from calibration.lens import Lens, compose, invert, rotation, rt_from_matrix, transform
-from calibration.registration import RegistrationOptions, register_view
+from calibration.registration import RegistrationOptions, register_photographs, register_view
+from calibration.rig_geometry import RigGeometry
+from devices.simulated.optics import SimulatedLens
+from devices.simulated.rig import SimulatedRig
+from devices.simulated.scene import SimulatedScene
+from devices.simulated.scene_objects import PlacedSurface, Wall
+from devices.simulated.sensor import Sensor
+from devices.simulated.surface import Surface
 from workstation.benchmarks.simulated_photographs import (
     OTHER_LENS,
     RIG,
@@ -230,3 +243,68 @@ def test_a_splined_lens_is_not_refined(scan, shot):
 def test_options_make_sense(wrong):
     with pytest.raises(RegistrationError):
         RegistrationOptions(**wrong)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A session of photographs before a relief, from two places; and its rig and scene."""
+    x, y = np.meshgrid(np.linspace(-30, 30, 241), np.linspace(24, -24, 193))
+    height = (0.6 * np.sin(x / 5) * np.cos(y / 6)).astype(np.float32)
+    surface = Surface.uniform(height, pitch_mm=0.25, canvas_mm=(60.0, 48.0), albedo=0.8)
+    distortion = (-0.05, 0.02, 3e-4, -2e-4, 0.0)
+    front = SimulatedLens.looking_at(
+        width=256,
+        height=192,
+        focal_px=2000.0,
+        position=(-20.0, 10.0, 400.0),
+        target=(0.0, 0.0, 0.0),
+        distortion=distortion,
+    )
+    projector = SimulatedLens.looking_at(
+        width=512,
+        height=320,
+        focal_px=3000.0,
+        position=(150.0, 20.0, 390.0),
+        target=(0.0, 0.0, 0.0),
+        distortion=distortion,
+    )
+    cameras = {"front": front, "left": front.moved((-160.0, 30.0, 370.0), (0.0, 0.0, 0.0))}
+    scene = SimulatedScene(
+        PlacedSurface(surface), (Wall(-15.0),), cameras, projector, sensor=Sensor(bits=12)
+    )
+    rig = SimulatedRig.of(scene).open()
+    choices = PhotographChoices(
+        exposures_s=(0.02,), code_exposures_s=(0.03,), poses=1, steps=6, period_px=24.0
+    )
+    folder = tmp_path_factory.mktemp("photographs") / "session"
+    with SessionWriter.create(folder, plan_photographs(rig, choices)) as writer:
+        record_plan(writer, rig)
+    lenses = [
+        Lens.from_opencv(lens.matrix, lens.distortion, width=lens.width, height=lens.height)
+        for lens in (front, projector)
+    ]
+    pose = compose(projector.rt_lens_scene, invert(front.rt_lens_scene))
+    geometry = RigGeometry(lenses[0], lenses[1], pose)
+    return Session.open(folder), geometry, cameras
+
+
+def test_every_place_of_a_recorded_session_is_registered(recorded):
+    session, rig, cameras = recorded
+    plan = session.plan_of(Purpose.CODE, camera_position="front")
+    known = decode(plan, session.read_frame)
+    views = register_photographs(session, known, rig)
+    assert list(views) == ["front", "left"]
+    for name, view in views.items():
+        true = compose(cameras[name].rt_lens_scene, invert(cameras["front"].rt_lens_scene))
+        points = np.array([[0.0, 0, 0], [20, 15, 0], [-20, -10, 0]])
+        in_rig = transform(cameras["front"].rt_lens_scene, points)
+        seen = rig.camera.project(transform(true, in_rig))
+        np.testing.assert_allclose(view.project(in_rig), seen, atol=0.1)
+
+
+def test_a_place_that_cannot_be_registered_is_named(recorded):
+    session, rig, _ = recorded
+    known = decode(session.plan_of(Purpose.CODE, camera_position="front"), session.read_frame)
+    nowhere = replace(known, rejection=np.ones_like(known.rejection))
+    with pytest.raises(RegistrationError, match="photographs from 'front'"):
+        register_photographs(session, nowhere, rig)

@@ -6,6 +6,9 @@ coordinates there get Gaussian noise, and some are replaced by wrong ones.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -74,8 +77,8 @@ def photograph(
         Whether the surface is a plane.
     """
     shape = lens.height, lens.width
-    points = _surface_points(lens, rt_cam_rig, flat)
-    panel = rig.projector.project(transform(rig.rt_proj_cam, points)).reshape(*shape, 2)
+    scene = _Scene(lens, rig, flat)
+    panel = _true_panel(scene, tuple(float(number) for number in rt_cam_rig)).copy()
     random = np.random.default_rng([seed, 0x50484F])
     panel += random.normal(0, sigma_px, panel.shape)
     if wrong:
@@ -91,6 +94,35 @@ def photograph(
         for number, axis in enumerate((Axis.COLUMN, Axis.ROW))
     }
     return CorrespondenceMap(axes, level, np.where(outside, 16, 0).astype(np.uint16), (0, 0), 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Scene:
+    """What a camera looks at, and through what; the same where the numbers are."""
+
+    lens: Lens
+    rig: RigGeometry
+    flat: bool
+
+    @property
+    def _key(self) -> tuple[object, ...]:
+        lens, rig = self.lens, self.rig
+        size = lens.model, lens.width, lens.height
+        return *size, lens.intrinsics.tobytes(), rig.parameters.tobytes(), self.flat
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Scene) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+
+@lru_cache(maxsize=16)
+def _true_panel(scene: _Scene, rt_cam_rig: tuple[float, ...]) -> NDArray[np.float64]:
+    """(rows, cols, 2) projector coordinates without noise."""
+    points = _surface_points(scene.lens, np.array(rt_cam_rig), scene.flat)
+    panel = scene.rig.projector.project(transform(scene.rig.rt_proj_cam, points))
+    return panel.reshape(scene.lens.height, scene.lens.width, 2)
 
 
 def _surface_points(lens: Lens, rt_cam_rig: NDArray[np.float64], flat: bool) -> NDArray[np.float64]:
