@@ -30,6 +30,8 @@ from calibration.procam import (
     measure_view,
 )
 from workstation.benchmark_records import Record, Sense
+from workstation.benchmarks.lights import light_records
+from workstation.benchmarks.registration import registration_records
 from workstation.benchmarks.simulated_boards import (
     BOARD,
     CAMERA,
@@ -55,7 +57,8 @@ def bench(*, seeds: int = 20) -> list[Record]:
     if data:
         records += procam_records(Path(data) / PROCAM_CAPTURE)
         records += figueroa_records(Path(data) / FIGUEROA)
-    return records + simulation_records(seeds=seeds) + [time_record()]
+    records += simulation_records(seeds=seeds) + registration_records(seeds=seeds)
+    return records + light_records(seeds=seeds) + [time_record()]
 
 
 def procam_records(folder: Path) -> list[Record]:
