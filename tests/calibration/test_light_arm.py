@@ -13,7 +13,7 @@ from workstation.benchmarks.lights import LENS, RT_CAM_SCENE, direction_errors, 
 
 @pytest.fixture(scope="module")
 def seen():
-    return see_arm(seed=3)
+    return see_arm(seed=3, poses=16)
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +23,7 @@ def fitted(seen):
 
 def test_light_directions_are_found_as_well_as_predicted(seen, fitted):
     degrees, white = direction_errors(seen, fitted)
-    assert degrees.max() < 0.1
+    assert degrees.max() < 0.12
     # One arm is worth a handful of numbers; the benchmark takes twenty.
     assert 0.3 < np.sqrt(np.mean(white**2)) < 1.8
     assert fitted.inflation == 1
@@ -32,7 +32,7 @@ def test_light_directions_are_found_as_well_as_predicted(seen, fitted):
 
 
 def test_without_noise_the_arm_is_found_exactly():
-    clean = see_arm(seed=5, noise=0.02)
+    clean = see_arm(seed=5, poses=12, noise=0.02)
     arm = clean.fit()
     degrees, _ = direction_errors(clean, arm)
     assert degrees.max() < 0.005
@@ -60,15 +60,19 @@ def test_the_lamp_moves_with_its_frame(fitted, seen):
     )
 
 
-def test_a_sag_of_another_form_shows(seen):
-    bent = see_arm(seed=3, extra_sag=lambda pose: np.radians(0.5) * np.sin(3 * pose.azimuth))
+def test_a_sag_of_another_form_shows(fitted):
+    bent = see_arm(
+        seed=3, poses=16, extra_sag=lambda pose: np.radians(0.5) * np.sin(3 * pose.azimuth)
+    )
     arm = bent.fit()
     assert arm.inflation > 1.5
-    assert np.nanmedian(arm.residual_deg) > np.nanmedian(seen.fit().residual_deg)
+    assert np.nanmedian(arm.residual_deg) > np.nanmedian(fitted.residual_deg)
 
 
 def test_another_anisotropy_shows():
-    ringed = see_arm(seed=3, anisotropy=lambda c: c**6 * (1 + 0.1 * np.sin(40 * np.arccos(c))))
+    ringed = see_arm(
+        seed=3, poses=16, anisotropy=lambda c: c**6 * (1 + 0.1 * np.sin(40 * np.arccos(c)))
+    )
     arm = ringed.fit()
     assert arm.shading_excess > 3
     assert direction_errors(ringed, arm)[0].max() < 0.1
@@ -83,7 +87,7 @@ def test_a_wrong_highlight_is_named_and_does_no_harm(seen):
     )
     arm = spoilt.fit()
     assert arm.suspect == (4,)
-    assert direction_errors(seen, arm)[0].max() < 0.12
+    assert direction_errors(seen, arm)[0].max() < 0.15
     assert arm.residual_deg[4] > 2
 
 
