@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -16,10 +17,15 @@ from acquisition.decoding import DecodingOptions, decode
 from acquisition.plan import Purpose
 from acquisition.session import Session
 from calibration.errors import CalibrationError
+from calibration.registration import RegisteredView, register_photographs
 from calibration.rig_geometry import RigGeometry
 from fitting.digital_copy import DigitalCopy
+from fitting.reflectance.held_out import Comparison
+from fitting.reflectance.lamp_table import LampTable
+from fitting.reflectance.recorded_photographs import PhotographOptions, read_photographs
 from fitting.surface import Surface, SurfaceOptions, reconstruct_surface
 from workstation.interruption import interruption_held
+from workstation.reflectance_processing import ReflectanceOptions, add_reflectance
 
 _ERROR_SUMMARY = (
     "height_noise",
@@ -36,6 +42,8 @@ class ProcessingOptions:
 
     decoding: DecodingOptions = field(default_factory=DecodingOptions)
     surface: SurfaceOptions = field(default_factory=SurfaceOptions)
+    photographs: PhotographOptions = field(default_factory=PhotographOptions)
+    reflectance: ReflectanceOptions = field(default_factory=ReflectanceOptions)
 
 
 @dataclass(frozen=True)
@@ -50,12 +58,18 @@ class Processed:
     surface : Surface
     figures : dict
         Plain JSON values for ``--json`` and reports.
+    rig : RigGeometry
+        The calibration in force.
+    comparisons : tuple of Comparison
+        Photographs that were kept out of the fit of the reflectance, beside their renderings.
     """
 
     copy: DigitalCopy
     correspondence: CorrespondenceMap
     surface: Surface
     figures: dict[str, Any]
+    rig: RigGeometry
+    comparisons: tuple[Comparison, ...] = ()
 
 
 def process_session(
@@ -120,19 +134,140 @@ def process_session(
         "software": f"impasto {version('impasto')}",
         "session": session.digest,
         "source": session.plan.source,
-        "parameters": asdict(options),
+        "parameters": {"decoding": asdict(options.decoding), "surface": asdict(options.surface)},
         "errors": {name: figures[name] for name in _ERROR_SUMMARY},
         "warnings": figures["warnings"],
     }
-    copy = DigitalCopy(
-        surface.copy.height_field,
-        surface.copy.normal_xy,
-        surface.copy.relief,
-        surface.copy.slope_sigma,
-        surface.copy.reflectance,
-        provenance,
+    copy = replace(surface.copy, provenance=provenance)
+    return Processed(copy, correspondence, surface, figures, rig)
+
+
+def add_photographs(
+    processed: Processed,
+    path: Path,
+    lamps: Path,
+    *,
+    options: ProcessingOptions | None = None,
+    begin: Callable[[str], None] = lambda stage: None,
+) -> Processed:
+    """Give a processed scan the reflectance that a session of photographs shows.
+
+    Parameters
+    ----------
+    processed : Processed
+    path : Path
+        Session of photographs: the projected code and the lamp's poses from each place.
+    lamps : Path
+        Table of lamps (:class:`~fitting.reflectance.lamp_table.LampTable`).
+    options : ProcessingOptions, optional
+    begin : callable, optional
+        Called with the name of each stage as it starts.
+
+    Raises
+    ------
+    ImpastoError
+        From any stage.
+    """
+    options = options or ProcessingOptions()
+    begin("registering the photographs")
+    session = Session.open(path)
+    table = LampTable.load(lamps)
+    with interruption_held():
+        views = register_photographs(
+            session, processed.correspondence, processed.rig, decoding=options.decoding
+        )
+    begin("reading the photographs")
+    with TemporaryDirectory(prefix="impasto-photographs-") as scratch:
+        with interruption_held():
+            photographs = read_photographs(
+                session,
+                views,
+                table,
+                processed.copy.height_field.rt_cam_canvas,
+                scratch=Path(scratch),
+                options=options.photographs,
+            )
+        added = add_reflectance(
+            processed.copy,
+            photographs,
+            surface=processed.surface,
+            options=options.reflectance,
+            begin=begin,
+        )
+    figures = added.figures | {"registration": _registration(views)}
+    provenance = processed.copy.provenance | {
+        "photographs": session.digest,
+        "reflectance": {name: added.figures.get(name) for name in ("materials", "held_out")},
+    }
+    return replace(
+        processed,
+        copy=replace(added.copy, provenance=provenance),
+        figures=processed.figures | {"reflectance": figures},
+        comparisons=tuple(added.comparisons),
     )
-    return Processed(copy, correspondence, surface, figures)
+
+
+def process_light_only(
+    path: Path,
+    *,
+    pitch_mm: float = 1.0,
+    linear: bool = False,
+    options: ReflectanceOptions | None = None,
+    begin: Callable[[str], None] = lambda stage: None,
+) -> tuple[DigitalCopy, list[Comparison], dict[str, Any]]:
+    """Reflectance of a flat object from an ``.lp`` file and its pictures.
+
+    Parameters
+    ----------
+    path : Path
+        The ``.lp`` file; its pictures lie beside it.
+    pitch_mm : float
+        Size of a pixel on the object.
+    linear : bool
+        Whether 8-bit pictures hold linear values.
+    options : ReflectanceOptions, optional
+    begin : callable, optional
+
+    Returns
+    -------
+    copy : DigitalCopy
+        Flat.
+    comparisons : list of Comparison
+    figures : dict
+
+    Raises
+    ------
+    ImpastoError
+    """
+    from fitting.reflectance.light_only import read_light_only
+
+    begin("reading the pictures")
+    copy, photographs = read_light_only(path, pitch_mm=pitch_mm, linear=linear)
+    added = add_reflectance(copy, photographs, options=options, begin=begin)
+    figures = {
+        "texels": int(copy.height_field.mask.sum()),
+        "shape": list(copy.height_field.shape),
+        "pitch_mm": pitch_mm,
+        "reflectance": added.figures,
+    }
+    provenance = copy.provenance | {
+        "software": f"impasto {version('impasto')}",
+        "pictures": [photograph.name for photograph in photographs],
+        "reflectance": {name: added.figures.get(name) for name in ("materials", "held_out")},
+    }
+    return replace(added.copy, provenance=provenance), added.comparisons, figures
+
+
+def _registration(views: dict[str | None, RegisteredView]) -> dict[str, Any]:
+    return {
+        place or "where it stood": {
+            "pairs": view.pairs,
+            "inliers": view.inliers,
+            "residual_px": view.residual_px,
+            "texture_px": view.texture_px,
+        }
+        for place, view in views.items()
+    }
 
 
 def _check_sizes(session: Session, rig: RigGeometry, folder: Path) -> None:

@@ -305,10 +305,23 @@ class _Shadows:
 def _as_channels(
     photograph: Photograph,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Radiance and variance with an axis of channels, and the flat field or nothing."""
-    image, variance = np.asarray(photograph.radiance), np.asarray(photograph.variance)
-    if photograph.mosaic is not None:
-        image, variance = image[..., np.newaxis], variance[..., np.newaxis]
+    """Radiance and variance with an axis of channels, and the flat field or nothing.
+
+    All are read-only and, but for odd layouts, in the order of C, so that the kernels are compiled
+    once.
+    """
     flat = photograph.flat_field
     none = np.empty((0, 0), np.float32)
-    return image, variance, none if flat is None else np.asarray(flat, np.float32)
+    arrays = []
+    for array in (photograph.radiance, photograph.variance):
+        one = np.asarray(array, np.float32)
+        if photograph.mosaic is not None:
+            one = one[..., np.newaxis]
+        elif one.strides[2] == 0:
+            one = one[..., :1]  # three channels that are one
+        arrays.append(one)
+    arrays.append(none if flat is None else np.asarray(flat, np.float32))
+    views = [array.view() for array in arrays]
+    for view in views:
+        view.flags.writeable = False
+    return views[0], views[1], views[2]

@@ -62,7 +62,7 @@ def look_up_texels(
 
     Parameters
     ----------
-    image, variance : (rows, cols, 3), or (rows, cols, 1) array of a mosaic
+    image, variance : (rows, cols, 3) array, or (rows, cols, 1) of a mosaic or of grey
     flat : (rows, cols) array, or (0, 0)
     channels : (2, 2) array
         Channel by parity of row and column; negative for pixels of three channels.
@@ -82,10 +82,12 @@ def look_up_texels(
         u, v = pixels[i]
         wide, high = footprint[i]
         if channels[0, 0] < 0:
-            for c in range(3):
+            for c in range(image.shape[2]):
                 radiance[i, c], noise[i, c] = _look_up(
                     image, variance, flat, 0, 0, 1, c, u, v, wide, high
                 )
+            for c in range(image.shape[2], 3):
+                radiance[i, c], noise[i, c] = radiance[i, 0], noise[i, 0]
             continue
         counts = np.zeros(3)
         light = np.zeros(3)

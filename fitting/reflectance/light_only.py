@@ -1,0 +1,142 @@
+"""Photographs under distant lights of which only directions are known: ``.lp`` files.
+
+The object is taken for flat, the camera for one far away before it, a pixel for a texel. Distant
+lamps and a distant camera are lamps and cameras like others, so all else is the same code.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.lamp import Lamp
+from calibration.lens import Lens, rt_from_matrix
+from calibration.light_directions import read_lp
+from fitting.digital_copy import DigitalCopy
+from fitting.errors import FittingError
+from fitting.height_field import HeightField
+from fitting.reflectance.photographs import Photograph
+from fitting.relief import Relief, ReliefBoxes
+
+Singles = NDArray[np.float32]
+
+_FAR_MM = 1e7
+# Variance of 8- and 16-bit pictures: of rounding, and of photons at some 20 000 per full scale.
+_PHOTONS = 5e-5
+# Full scale, and the standard error of what is black.
+_WHOLE_NUMBERS = {np.dtype(np.uint8): (255.0, 1 / 255), np.dtype(np.uint16): (65535.0, 2e-4)}
+_SLOPE_SIGMA = 0.2  # of a relief that nobody measured
+
+
+def read_light_only(
+    path: Path, *, pitch_mm: float = 1.0, linear: bool = False
+) -> tuple[DigitalCopy, list[Photograph]]:
+    """Read an ``.lp`` file and its pictures, which lie beside it or below.
+
+    Parameters
+    ----------
+    path : Path
+    pitch_mm : float
+        Size of a pixel on the object.
+    linear : bool
+        Whether 8-bit pictures hold linear values; by default they are sRGB's. Pictures of 16 bits
+        and of floating point always do.
+
+    Returns
+    -------
+    copy : DigitalCopy
+        Flat, without reflectance; row 0 at the top of the pictures.
+    photographs : list of Photograph
+
+    Raises
+    ------
+    CalibrationError
+        The file is malformed, or a picture is missing.
+    FittingError
+        A picture cannot be read, or they differ in size.
+    """
+    path = Path(path)
+    lights = read_lp(path, pictures=path.parent)
+    photographs: list[Photograph] = []
+    for name, direction in zip(lights.pictures, lights.directions, strict=True):
+        radiance, variance = _read_picture(path.parent / name, linear=linear)
+        if photographs and radiance.shape != photographs[0].radiance.shape:
+            first = photographs[0].radiance.shape
+            raise FittingError(
+                f"{path.parent / name} has {radiance.shape[1]} × {radiance.shape[0]} pixels, the "
+                f"first picture {first[1]} × {first[0]}: they must show the same"
+            )
+        photographs.append(_distant(name, radiance, variance, direction, pitch_mm))
+    rows, cols = photographs[0].radiance.shape[:2]
+    return _flat_copy(rows, cols, pitch_mm), photographs
+
+
+def _distant(
+    name: str, radiance: Singles, variance: Singles, towards: NDArray[np.float64], pitch_mm: float
+) -> Photograph:
+    rows, cols = radiance.shape[:2]
+    focal = _FAR_MM / pitch_mm
+    intrinsics = np.array([focal, focal, (cols - 1) / 2, (rows - 1) / 2])
+    facing = np.diag([1.0, -1.0, -1.0])
+    # White that faces the light has radiance 1: pictures of this kind have no other scale.
+    intensity = np.full(3, math.pi * _FAR_MM**2)
+    return Photograph(
+        name=name,
+        radiance=radiance,
+        variance=variance,
+        lens=Lens("LENSMODEL_PINHOLE", intrinsics, cols, rows),
+        rt_cam_canvas=rt_from_matrix(facing, np.array([0.0, 0.0, _FAR_MM])),
+        lamp=Lamp(_FAR_MM * towards, -towards, intensity, 0.0),
+    )
+
+
+def _read_picture(path: Path, *, linear: bool) -> tuple[Singles, Singles]:
+    """Linear RGB, NaN where a channel is saturated, and its variance."""
+    picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if picture is None:
+        raise FittingError(f"{path}: not a readable picture")
+    if picture.ndim == 2:
+        picture = np.repeat(picture[..., np.newaxis], 3, axis=2)
+    picture = picture[..., 2::-1]
+    if picture.dtype == np.float32:
+        radiance, sigma, full = picture.astype(np.float32), 2e-4, np.inf
+    elif picture.dtype in _WHOLE_NUMBERS:
+        full, sigma = _WHOLE_NUMBERS[picture.dtype]
+        radiance = picture.astype(np.float32) / np.float32(full)
+    else:
+        raise FittingError(f"{path}: pictures of {picture.dtype} are not read")
+    slope: Singles | float = 1.0
+    if picture.dtype == np.uint8 and not linear:
+        coded = radiance
+        radiance = np.where(
+            coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4
+        ).astype(np.float32)
+        slope = np.where(
+            coded <= 0.04045, 1 / 12.92, 2.4 / 1.055 * ((coded + 0.055) / 1.055) ** 1.4
+        ).astype(np.float32)
+    variance = (sigma * slope) ** 2 + np.float32(_PHOTONS) * np.maximum(radiance, 0)
+    saturated = (picture >= full).any(axis=2) | ~np.isfinite(radiance).all(axis=2)
+    radiance[saturated] = np.nan
+    return radiance, variance.astype(np.float32)
+
+
+def _flat_copy(rows: int, cols: int, pitch_mm: float) -> DigitalCopy:
+    shape = (rows, cols)
+    origin = (-(cols - 1) / 2 * pitch_mm, (rows - 1) / 2 * pitch_mm)
+    zeros = np.zeros(shape, np.float32)
+    variance = np.full(shape, (0.01 * pitch_mm) ** 2, np.float32)
+    pose = rt_from_matrix(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, _FAR_MM]))
+    field = HeightField(zeros, np.ones(shape, np.bool_), variance, pitch_mm, origin, pose)
+    none = np.zeros((0, 2), np.int32)
+    boxes = ReliefBoxes(none, none, np.zeros(0, np.float32), none)
+    return DigitalCopy(
+        field,
+        np.zeros((*shape, 2), np.float32),
+        Relief(0.0, 20, np.zeros(shape, np.bool_), boxes),
+        np.full(shape, _SLOPE_SIGMA, np.float32),
+        provenance={"source": "pictures under distant lights; no relief was measured"},
+    )

@@ -1,0 +1,71 @@
+from __future__ import annotations
+
+import json
+
+import cv2
+import numpy as np
+import OpenEXR
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from fitting.copy_files import read_copy
+from workstation.commands import process
+
+ALBEDO = np.array([0.25, 0.5, 0.75])
+
+
+@pytest.fixture
+def dome(tmp_path):
+    """A flat matt board of two colours under 18 lights."""
+    random = np.random.default_rng(0)
+    lines = ["18"]
+    for number in range(18):
+        polar, turn = np.radians(15 + 3 * number), 2.4 * number
+        x, y = np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn)
+        linear = np.ones((24, 32, 1)) * ALBEDO * np.cos(polar)
+        linear[:, 16:] *= 0.5
+        linear = linear + 0.001 * random.standard_normal(linear.shape)
+        picture = np.clip(np.rint(linear * 65535), 0, 65535).astype(np.uint16)
+        cv2.imwrite(str(tmp_path / f"{number:02}.png"), picture[..., ::-1])
+        lines.append(f"{number:02}.png {x:.6f} {y:.6f} {np.cos(polar):.6f}")
+    (tmp_path / "lights.lp").write_text("\n".join(lines) + "\n")
+    return tmp_path / "lights.lp"
+
+
+def run(*arguments):
+    app = typer.Typer()
+    process.register(app)
+    return CliRunner().invoke(app, [*map(str, arguments)])
+
+
+def test_pictures_with_light_directions_become_a_copy(dome, tmp_path):
+    figures = tmp_path / "figures.json"
+    out = tmp_path / "copy"
+    result = run("--lp", dome, "--out", out, "--ggx", "--json", figures)
+    assert result.exit_code == 0, result.output
+    copy = read_copy(out)
+    middle = copy.reflectance.diffuse[4:20, 3:13]
+    assert np.median(middle, axis=(0, 1)) == pytest.approx(ALBEDO / np.pi, rel=0.01)
+    held = json.loads(figures.read_text())["reflectance"]["held_out"]
+    assert held["psnr_db"] > 35
+    assert held["delta_e"] < 1.5
+    assert (tmp_path / "copy-held-out.png").is_file()
+    with OpenEXR.File(str(out / "ggx.exr"), separate_channels=True) as file:
+        albedo = np.array(file.channels()["albedo.G"].pixels)
+    assert np.median(albedo[4:20, 3:13]) == pytest.approx(0.5, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "SESSION"),
+        (["s", "--lp", "x.lp"], "not both"),
+        (["s", "--photographs", "p"], "together"),
+        (["s", "--ggx"], "ggx"),
+    ],
+)
+def test_contradictions_are_usage_errors(tmp_path, arguments, message):
+    result = run(*arguments, "--out", tmp_path / "copy")
+    assert result.exit_code == 2
+    assert message in result.output
