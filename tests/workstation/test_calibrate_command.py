@@ -1,0 +1,149 @@
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from acquisition.scan import plan_scan, scan
+from acquisition.session_writer import SessionWriter
+from calibration.lens import transform
+from calibration.mrcal_solve import load_solution
+from calibration.rig_geometry import CAMERA_FILE, PROJECTOR_FILE, RigGeometry
+from devices.simulated.rig import SimulatedRig
+from devices.simulated.settings import PaintingKind, SimulationSettings
+from workstation.demonstration import EXPOSURE_S, true_geometry
+
+IMPASTO = Path(sys.executable).parent / "impasto"
+BOARD = ("--corners", 14, 10, "--square", 20, "--marker", 15, "--dictionary", "DICT_5X5_1000")
+# Tilt about x and y, turn, and place of the board's middle.
+POSES = (
+    (0.35, 0.0, 0.1, 40, 30, 30),
+    (-0.35, 0.0, -0.1, -40, -30, 0),
+    (0.0, 0.4, 0.0, -30, 35, 30),
+    (0.0, -0.2, 0.15, 40, -30, -40),
+    (0.3, 0.3, 0.05, 0, 0, -50),
+    (-0.3, 0.25, -0.1, -50, 40, 40),
+)
+
+
+def impasto(*arguments: object) -> subprocess.CompletedProcess[str]:
+    words = [str(IMPASTO), *map(str, arguments)]
+    return subprocess.run(
+        words, capture_output=True, text=True, timeout=300, stdin=subprocess.DEVNULL
+    )
+
+
+def record(rig: SimulatedRig, out: Path) -> None:
+    devices = rig.open()
+    plan = plan_scan(devices, exposure_s=EXPOSURE_S, steps=4)
+    with SessionWriter.create(out, plan) as writer:
+        scan(writer, devices)
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return SimulationSettings(
+        painting=PaintingKind.BOARD, camera_width=480, projector_width=912, projector_height=570
+    ).build()
+
+
+@pytest.fixture(scope="module")
+def poses(rig, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("poses")
+    for number, pose in enumerate(POSES, start=1):
+        rig.scene.move_subject(np.array(pose, float))
+        record(rig, folder / f"pose-{number}")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def calibrated(rig, poses, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("calibrated")
+    # The true rig as the earlier one: nothing has drifted.
+    true_geometry(rig).save(folder / "earlier")
+    done = impasto(
+        *("calibrate", poses, *BOARD, "--square-sigma", 0.002, "--model", "opencv5"),
+        *("--out", folder / "rig", "--report", folder / "report", "--json", folder / "f.json"),
+        *("--opencv", folder / "rig.xml", "--earlier", folder / "earlier"),
+    )
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def test_boards_give_the_rig_as_it_truly_is_within_its_uncertainty(rig, calibrated):
+    found, true = RigGeometry.load(calibrated / "rig"), true_geometry(rig)
+    distance = json.loads((calibrated / "f.json").read_text())["working_distance_mm"]
+    x, y = np.meshgrid(np.linspace(-90, 90, 7), np.linspace(-60, 60, 5))
+    points = np.stack([x, y, np.full_like(x, distance)], axis=-1)
+    for lens, seen in ((found.camera, true.camera), (found.projector, true.projector)):
+        assert lens.width == seen.width
+        assert np.abs(lens.focal_px / seen.focal_px - 1).max() < 0.003
+    ends = [r.projector.project(transform(r.rt_proj_cam, points)) for r in (found, true)]
+    assert np.median(np.linalg.norm(ends[0] - ends[1], axis=-1)) < 1.0
+    sigma = np.sqrt(np.diag(found.covariance))
+    # With the scale of the squares: one in ten thousand of the baseline.
+    assert sigma[-3] > 1e-4 * abs(found.rt_proj_cam[3]) * 0.99
+    error = np.linalg.norm(found.rt_proj_cam[3:]) - np.linalg.norm(true.rt_proj_cam[3:])
+    assert abs(error) < 5 * np.linalg.norm(sigma[-3:]) + 0.1
+
+
+def test_the_models_carry_what_they_were_solved_from(calibrated):
+    for name in (CAMERA_FILE, PROJECTOR_FILE):
+        solution = load_solution(calibrated / "rig" / name)
+        assert len(solution.rt_ref_board) == len(POSES)
+        figures = json.loads((calibrated / "f.json").read_text())
+        assert solution.rms_per_point_px == pytest.approx(figures["stereo_px"], rel=1e-6)
+
+
+def test_matrices_for_opencv_are_those_of_the_rig(calibrated):
+    storage = cv2.FileStorage(str(calibrated / "rig.xml"), cv2.FILE_STORAGE_READ)
+    matrix = storage.getNode("projector_matrix").mat()
+    rig = RigGeometry.load(calibrated / "rig")
+    np.testing.assert_allclose(matrix[[0, 1], [0, 1]], rig.projector.focal_px)
+    np.testing.assert_allclose(storage.getNode("translation").mat().ravel(), rig.rt_proj_cam[3:])
+
+
+def test_the_report_asks_nothing_of_the_net_and_shows_every_part(calibrated):
+    page = (calibrated / "report" / "index.html").read_text()
+    assert not re.search(r"(src|href)=\"(?!data:)", page)
+    assert "url(" not in page
+    assert "<script" not in page
+    for heading in ("Gates", "Uncertainty", "Residuals", "Coverage", "Cross-validation", "History"):
+        assert f"<h2>{heading}</h2>" in page
+    assert page.count("data:image/png;base64,") >= 17
+    assert "pose-4" in page
+    report = json.loads((calibrated / "report" / "report.json").read_text())
+    assert report["passed"] is True
+    assert report["heldout_plane"]["rms_mm"] < 1.3 * report["heldout_plane"]["predicted_noise_mm"]
+    assert abs(report["heldout_plane"]["scale_error"]) < 1e-3
+    assert report["earlier"][0]["over_predicted"] < 2.5
+    assert len(report["sessions"]) == len(POSES)
+
+
+def test_too_few_tilts_are_refused_with_code_5_and_nothing_is_written(poses, tmp_path):
+    some = [poses / f"pose-{number}" for number in (2, 2, 4, 1)]
+    done = impasto(
+        *("calibrate", *some, *BOARD, "--model", "opencv4", "--raw-phases", "--baseline", 300),
+        *("--baseline-sigma", 0.5, "--out", tmp_path / "rig", "--json", tmp_path / "f.json"),
+    )
+    assert done.returncode == 5, done.stderr
+    assert "the calibration is refused" in done.stderr
+    assert "measure the board" in done.stderr
+    assert not (tmp_path / "rig").exists()
+    assert json.loads((tmp_path / "f.json").read_text())["passed"] is False
+
+
+def test_boards_that_are_not_there_and_folders_that_hold_nothing_are_named(poses, tmp_path):
+    other = ("--corners", 5, 4, "--square", 20, "--marker", 10, "--dictionary", "DICT_4X4_50")
+    done = impasto("calibrate", poses / "pose-1", *other)
+    assert done.returncode == 3
+    assert "the board was measured in 0 of 1 sessions" in done.stderr
+    done = impasto("calibrate", tmp_path, "--corners", 5, 4, "--square", 20)
+    assert done.returncode == 3
+    assert "is no session, nor does it hold any" in done.stderr
