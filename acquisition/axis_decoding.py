@@ -24,6 +24,7 @@ from acquisition.fringe_statistics import disagreement_limit, systematic_disagre
 from acquisition.fringes import Fringe
 from acquisition.gray_decoding import GrayCode, cell_coordinates, needs_level, read_words
 from acquisition.harmonics import error_orders, series_of_coarse
+from acquisition.patterns import BLACK, WHITE
 from acquisition.rejection_kernels import subtract_series
 from acquisition.unwrapping import certainty_sigmas
 
@@ -190,10 +191,20 @@ class FringeDecoder:
         return joined, report
 
     def _level_at(self, fitted: FittedFringe, longest: Fringe):  # type: ignore[no-untyped-def]
-        """Takes an exposure to the mean level of the fringe at it, below the ceiling."""
-        ceiling = np.float32(self.sampler.stream.plan.saturation_level - 0.5)
+        """Takes an exposure to the mean level of the fringe at it, below the ceiling.
+
+        At other exposures than the fringe's that is the mean of white and black, where they were
+        taken: levels hold the sensor's black level, and so are not in proportion to the exposures.
+        """
+        stream = self.sampler.stream
+        ceiling = np.float32(stream.plan.saturation_level - 0.5)
+        flats = {(frame.pattern, frame.exposure_s): frame.id for frame in stream.plan.frames}
 
         def level_at(exposure_s: float | None) -> NDArray[np.float32]:
+            white, black = flats.get((WHITE, exposure_s)), flats.get((BLACK, exposure_s))
+            if exposure_s != longest.exposure_s and white is not None and black is not None:
+                both = stream.take(white).astype(np.float32) + stream.take(black)
+                return np.minimum(both / 2, ceiling)
             scale = np.float32(_ratio(exposure_s, longest.exposure_s))
             return np.minimum(scale * fitted.ambient, ceiling)
 

@@ -24,7 +24,6 @@ from acquisition.errors import CaptureError
 from acquisition.patterns import Axis
 from acquisition.plan import Imager
 
-
 # Of one fringe or code; no capture comes near it.
 _MOST_FILES = 10_000
 

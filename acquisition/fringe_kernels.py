@@ -103,7 +103,7 @@ def _fold_block(block, m, first, frames, weights, reference):  # type: ignore[no
 
 
 @njit(fastmath=_FAST, error_model="numpy")
-def _vary_with_phase(block, m, moments, read, gain):  # type: ignore[no-untyped-def]
+def _vary_with_phase(block, m, moments, read, gain, black):  # type: ignore[no-untyped-def]
     """Modulation, and the phase's variance for any steps."""
     m00, m01, m02 = moments[0, 0], moments[0, 1], moments[0, 2]
     m10, m11, m12 = moments[1, 0], moments[1, 1], moments[1, 2]
@@ -114,7 +114,7 @@ def _vary_with_phase(block, m, moments, read, gain):  # type: ignore[no-untyped-
         inverse = _ONE / power
         cc, cs, ss = c * c * inverse, c * s * inverse, s * s * inverse
         flat = m00 * cc + m01 * cs + m02 * ss
-        light = a * flat + c * (m10 * cc + m11 * cs + m12 * ss)
+        light = (a - black) * flat + c * (m10 * cc + m11 * cs + m12 * ss)
         light += s * (m20 * cc + m21 * cs + m22 * ss)
         light = light if light > _ZERO else _ZERO
         block[_VARIANCE, j] = (read * flat + gain * light) * inverse
@@ -124,18 +124,18 @@ def _vary_with_phase(block, m, moments, read, gain):  # type: ignore[no-untyped-
 @njit(fastmath=_FAST, error_model="numpy")
 def _fit_block(block, m, reference, fringe, sample):  # type: ignore[no-untyped-def]
     """Phase, its variance, modulation and flags of a block of folded steps."""
-    read, gain = sample.read, sample.gain
+    read, gain, black = sample.read, sample.gain, sample.black
     if fringe.isotropic:
         # The same at every phase, and by any light: even steps, four or more.
         even = fringe.moments[0, 0]
         for j in range(m):
             a, c, s = block[_A, j], block[_C, j], block[_S, j]
             power = c * c + s * s + _TINY
-            light = a if a > _ZERO else _ZERO
+            light = a - black if a > black else _ZERO
             block[_VARIANCE, j] = even * (read + gain * light) / power
             block[_MODULATION, j] = np.sqrt(power)
     else:
-        _vary_with_phase(block, m, fringe.moments, read, gain)
+        _vary_with_phase(block, m, fringe.moments, read, gain, black)
     for j in range(m):
         turn = _turn(block[_C, j], block[_S, j]) - fringe.origin_turns
         block[_TURN, j] = turn - np.floor(turn)
@@ -149,7 +149,7 @@ def _fit_block(block, m, reference, fringe, sample):  # type: ignore[no-untyped-
         u = a - _F(reference[j])
         explained = u * (g00 * u + g01 * c + g02 * s) + c * (g11 * c + g12 * s) + g22 * s * s
         left = block[_SQUARES, j] - explained
-        noise = read + gain * (a if a > _ZERO else _ZERO)
+        noise = read + gain * (a - black if a > black else _ZERO)
         b = block[_MODULATION, j]
         low = b * b <= floor + contrast2 * noise or b * b <= _TINY + _TINY
         # Whether √left > √(limit noise) + harmonics b, without the roots.

@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 class SampleModel(NamedTuple):
     """What a sample's level says of its quality, float32.
 
-    ``variance = read + gain * level``. A modulation below ``least`` or below ``contrast`` standard
-    deviations is low; a sample at ``saturation`` or above is saturated.
+    ``variance = read + gain * max(level - black, 0)``. A modulation below ``least`` or below
+    ``contrast`` standard deviations is low; a sample at ``saturation`` or above is saturated.
     """
 
     read: np.float32
     gain: np.float32
+    black: np.float32
     saturation: np.float32
     least: np.float32
     contrast: np.float32

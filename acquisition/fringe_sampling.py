@@ -140,6 +140,7 @@ class FringeSampler:
         return SampleModel(
             np.float32(self.noise.read_variance),
             np.float32(self.noise.gain),
+            np.float32(self.noise.black_level),
             np.float32(self.stream.plan.saturation_level),
             np.float32(least or 0.0),
             np.float32(contrast * fringe.fit.excess),

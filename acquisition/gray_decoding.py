@@ -201,6 +201,7 @@ def decode_gray_alone(
         read.ambient,
         share * noise.read_variance,
         share * noise.gain,
+        noise.black_level,
         contrast,
         least,
         modulation,

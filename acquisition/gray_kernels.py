@@ -139,11 +139,14 @@ def cell_centres(words, first, step, out):  # type: ignore[no-untyped-def]
 
 
 @njit(parallel=True, cache=True)
-def judge_words(second_least, ambient, read, gain, contrast, least, modulation, rejection):  # type: ignore[no-untyped-def]
+def judge_words(  # type: ignore[no-untyped-def]
+    second_least, ambient, read, gain, black, contrast, least, modulation, rejection
+):
     """Modulation of a Gray code, and the rejection's bit where it is low.
 
     ``modulation`` receives half the second smallest contrast; it is low below ``least``, or below
-    ``contrast`` standard deviations, for samples of variance ``read + gain * level``.
+    ``contrast`` standard deviations, for samples of variance
+    ``read + gain * max(level - black, 0)``.
     """
     pixels = second_least.size
     for number in prange((pixels + _BLOCK - 1) // _BLOCK):
@@ -155,6 +158,7 @@ def judge_words(second_least, ambient, read, gain, contrast, least, modulation, 
             half[j] = _F(0.5) * _F(low[j])
         for j in range(m):
             # Half a difference of two samples has half their variance.
-            noise = _F(0.5) * (read + gain * level[j])
+            light = level[j] - black if level[j] > black else 0.0
+            noise = _F(0.5) * (read + gain * light)
             dim = half[j] * half[j] <= contrast * contrast * noise or half[j] <= least
             bits[j] |= np.uint16(_LOW_MODULATION) if dim else np.uint16(0)

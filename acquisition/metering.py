@@ -287,8 +287,7 @@ def _with_slope(noise: SampleNoise, fitted: list[_Fit], blacks: list[Samples]) -
     if rise <= 0:
         return noise
     gain = rise / (lit_level - dark_level)
-    # Below black there is nothing, and the line may fall below zero there.
-    return replace(noise, read_variance=dark_variance - gain * dark_level, gain=gain)
+    return replace(noise, read_variance=dark_variance, gain=gain, black_level=dark_level)
 
 
 def _white_noise(black: Samples) -> tuple[float, float]:
@@ -366,8 +365,8 @@ def _black_level(planned_s: list[float], blacks: list[Samples], saturation_level
 
 def _above(noise: SampleNoise, black_level: float) -> SampleNoise:
     """Noise by the level above black."""
-    read = max(noise.read_variance + noise.gain * black_level, QUANTISATION_VARIANCE)
-    return replace(noise, read_variance=read)
+    read = noise.read_variance + noise.gain * (black_level - noise.black_level)
+    return replace(noise, read_variance=max(read, QUANTISATION_VARIANCE), black_level=0.0)
 
 
 def _merged(

@@ -46,15 +46,18 @@ class SampleNoise:
         Growth of the variance per sensor number.
     origin : str
         How it was found, for reports.
+    black_level : float
+        Level above which the variance grows: no more than the sensor's level in the dark.
     """
 
     read_variance: float
     gain: float
     origin: str
+    black_level: float = 0.0
 
     def variance(self, level: NDArray[np.floating]) -> NDArray[np.float64]:
         """Variance of samples at the given levels, same shape, squared sensor numbers."""
-        return self.read_variance + self.gain * np.maximum(level, 0.0)
+        return self.read_variance + self.gain * np.maximum(level - self.black_level, 0.0)
 
 
 def fit_sample_noise(
@@ -66,7 +69,7 @@ def fit_sample_noise(
     bins: int = 16,
     quantile: float = 0.5,
 ) -> SampleNoise:
-    """Fit ``read + gain * level`` to sums of squared residuals.
+    """Fit a straight line of variance over level to sums of squared residuals.
 
     Quantiles per bin of level keep pixels out that the fringe model does not describe (edges,
     highlights, shadows); that of a chi-square variable is then brought back to its mean.
@@ -113,10 +116,12 @@ def fit_sample_noise(
     if gain < _SIGNIFICANT * gain_error:
         # Over levels this much alike a slope would be noise, and would spread the variances.
         read, gain = float(np.average(variances, weights=weight)), 0.0
+    black_level = 0.0
     if gain > 0 and read < floor:
-        read = floor
-        gain = float(np.median(np.maximum(variances - floor, 0) / np.maximum(levels, 1e-6)))
-    return SampleNoise(max(floor, float(read)), float(gain), origin)
+        # A sensor that says more than nothing in the dark: the line ends there.
+        black_level = min(float((floor - read) / gain), float(levels.min()))
+        read = read + gain * black_level
+    return SampleNoise(max(floor, float(read)), float(gain), origin, black_level)
 
 
 def estimate_noise(

@@ -7,7 +7,9 @@ import numpy as np
 from acquisition.fringes import Fringe
 
 
-def fit(fringe: Fringe, stack: np.ndarray, *, read: float, gain: float) -> dict[str, np.ndarray]:
+def fit(
+    fringe: Fringe, stack: np.ndarray, *, read: float, gain: float, black: float = 0.0
+) -> dict[str, np.ndarray]:
     """Least squares per pixel: turns in [0, 1), their variance, modulation, ambient, squares."""
     steps = len(stack)
     samples = stack.reshape(steps, -1).astype(np.float64)
@@ -19,7 +21,7 @@ def fit(fringe: Fringe, stack: np.ndarray, *, read: float, gain: float) -> dict[
     b = np.hypot(c, s)
     with np.errstate(invalid="ignore", divide="ignore"):
         slope = (c / b) * solution[2][:, np.newaxis] - (s / b) * solution[1][:, np.newaxis]
-        light = (slope**2 * modelled).sum(axis=0)
+        light = (slope**2 * (modelled - black)).sum(axis=0)
         variance = (read * (slope**2).sum(axis=0) + gain * np.maximum(light, 0)) / b**2
     turns = (np.arctan2(s, c) / (2 * np.pi) - fringe.origin_rad / (2 * np.pi)) % 1
     return {

@@ -8,7 +8,7 @@ from synthetic_scan import expose, fringe_patterns, gray_patterns, make_plan
 
 from acquisition.correspondence import Rejection
 from acquisition.decoding import DecodingOptions, decode
-from acquisition.patterns import Axis, PhaseShift, pattern_profile
+from acquisition.patterns import BLACK, WHITE, Axis, PhaseShift, pattern_profile
 from acquisition.plan import Plan, PlannedFrame
 
 WIDTH, HEIGHT = 320, 240
@@ -222,3 +222,30 @@ def test_gray_orders_are_shared_by_all_exposures():
         found = decode(plan, frames.__getitem__)
         assert found.valid.mean() > 0.995
         assert np.nanmax(np.abs(found.axes[Axis.COLUMN].coordinate - truth)) < 5
+
+
+@pytest.mark.parametrize("black_level", [0, 512])
+@pytest.mark.parametrize("code_exposure", [1.0, 1 / 9])
+def test_bits_of_another_exposure_are_held_against_its_own_light(black_level, code_exposure):
+    exposures = (1.0, 1 / 3, 1 / 9)
+    fringe = bracketed((24.0,), 8, exposures)
+    patterns = [(flat, exposure) for flat in (WHITE, BLACK) for exposure in exposures]
+    patterns += [(bit, code_exposure) for bit in gray_patterns(Axis.COLUMN, step=12.0, bits=6)]
+    extra = tuple(
+        PlannedFrame(id=f"x{n:03d}", pattern=pattern, exposure_s=exposure)
+        for n, (pattern, exposure) in enumerate(patterns)
+    )
+    plan = fringe.model_copy(update={"frames": fringe.frames + extra})
+    truth = ramp()
+    radiance = np.exp(np.linspace(np.log(300), np.log(25_000), HEIGHT))[:, np.newaxis]
+    frames = expose_bracket(plan, truth, radiance * np.ones((1, WIDTH)))
+    raised = {name: np.minimum(frame + black_level, 4095) for name, frame in frames.items()}
+    found = decode(plan, {n: f.astype(np.uint16) for n, f in raised.items()}.__getitem__)
+    assert found.valid.mean() > 0.97
+    error = (found.axes[Axis.COLUMN].coordinate - truth)[found.valid]
+    assert np.abs(error).max() < 6
+    # The variance is right in the dark as well, where the black level is most of the level.
+    z = error / np.sqrt(found.axes[Axis.COLUMN].variance[found.valid])
+    dark = (radiance * np.ones((1, WIDTH)) < 1500)[found.valid]
+    assert np.std(z[dark]) == pytest.approx(1, abs=0.06)
+    assert np.std(z[~dark]) == pytest.approx(1, abs=0.06)

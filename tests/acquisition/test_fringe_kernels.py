@@ -27,8 +27,8 @@ def make_fringe(shifts, *, period=32.0, origin=0.7):
     return Fringe(Axis.COLUMN, period, origin, 1.0, np.asarray(shifts, float), ids)
 
 
-def make_sample(*, read=4.0, gain=0.05, saturation=65535.0, least=0.0, contrast=3.0):
-    return SampleModel(*map(np.float32, (read, gain, saturation, least, contrast)))
+def make_sample(*, read=4.0, gain=0.05, black=0.0, saturation=65535.0, least=0.0, contrast=3.0):
+    return SampleModel(*map(np.float32, (read, gain, black, saturation, least, contrast)))
 
 
 def made_up_stack(shifts, *, mean, modulation, sigma, pixels=3000, dtype=np.uint8, seed=0):
@@ -44,16 +44,18 @@ def turn_difference(a, b):
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("black", [0.0, 20.0])
 @pytest.mark.parametrize("shifts", [*EVEN.values(), UNEVEN])
-def test_fits_agree_with_plain_least_squares(shifts, dtype):
+def test_fits_agree_with_plain_least_squares(shifts, dtype, black):
     scale = 1 if dtype is np.uint8 else 200
     fringe = make_fringe(shifts)
     stack, _ = made_up_stack(
         shifts, mean=120 * scale, modulation=90 * scale, sigma=3 * scale, dtype=dtype
     )
     read, gain = 4.0 * scale**2, 0.05 * scale
-    fitted = fit_samples(fringe, stack, model_fringe(fringe), make_sample(read=read, gain=gain))
-    expected = reference.fit(fringe, stack, read=read, gain=gain)
+    sample = make_sample(read=read, gain=gain, black=black * scale)
+    fitted = fit_samples(fringe, stack, model_fringe(fringe), sample)
+    expected = reference.fit(fringe, stack, read=read, gain=gain, black=black * scale)
     assert np.abs(turn_difference(fitted.turns, expected["turns"])).max() < 2e-6
     np.testing.assert_allclose(fitted.variance, expected["variance"], rtol=2e-4)
     np.testing.assert_allclose(fitted.modulation, expected["modulation"], rtol=1e-5)
