@@ -52,7 +52,7 @@ def mosaic_of(image, pattern):
 
 @pytest.mark.parametrize("pitch", [0.05, 0.3])
 @pytest.mark.parametrize("mosaic", [None, *BayerPattern])
-def test_an_even_picture_is_looked_up_to_a_thousandth_of_a_pixel(pitch, mosaic):
+def test_an_even_picture_is_looked_up_where_the_texel_is(pitch, mosaic):
     copy = make_copy(strokes(40, 50) * 0.1, pitch=pitch)
     image = ramp()
     if mosaic is not None:
