@@ -29,6 +29,9 @@ BUDGET_PX = 0.25
 
 # Slope of rays, horizontal over vertical, beyond which a plane is no way to carry them.
 _FLATTEST = 40.0
+# Depth over the shorter side, and share of measured texels, up to which and from which a relief is
+# that of a painting.
+_DEEP, _WHOLE = 0.05, 0.98
 # Levels by which the search is finer than what is shown, for the default budget.
 _FINER = 0.5
 # Steps after which a ray is left where it is: where texels are smaller than pixels, for the default
@@ -85,6 +88,8 @@ class SurfaceShape:
     pitch_mm : float
     steepest : list of float
         Slope that all but 2 % of the texels keep to, by level of the maps.
+    sculpted : bool
+        Whether the relief is too deep or too full of gaps to be found from a plane.
     """
 
     low: float
@@ -93,6 +98,7 @@ class SurfaceShape:
     corners: tuple[float, float, float, float]
     pitch_mm: float
     steepest: list[float]
+    sculpted: bool
 
     @classmethod
     def of(cls, field: HeightField, levels: list[NDArray[np.float32]]) -> SurfaceShape:
@@ -107,8 +113,9 @@ class SurfaceShape:
             slope = np.quantile(joined, 0.98) / (field.pitch_mm * 2**number) if len(joined) else 0.0
             steepest.append(float(slope))
         corners = (x - half, y + half - height, x - half + width, y + half)
+        sculpted = high - low > _DEEP * min(width, height) or field.mask.mean() < _WHOLE
         median = float(np.median(field.height[field.mask]))
-        return cls(low, high, median, corners, field.pitch_mm, steepest)
+        return cls(low, high, median, corners, field.pitch_mm, steepest, sculpted)
 
     def needs(self, eye: NDArray[np.float64], pixel_angle: float, budget_px: float) -> ViewNeeds:
         """What is needed seen from a place (3,) of the canvas frame."""
@@ -131,6 +138,8 @@ class SurfaceShape:
         if error <= allowed:
             plane = min(max(self.median, self.high - allowed), self.low + allowed)
             return ViewNeeds(Search.PLANE, False, plane, error, 0.0, self._texel_centres)
+        if self.sculpted:
+            return ViewNeeds(Search.EXACT, True, self.median, 2 * error, 0.0, self.corners)
         plane = middle + (self.median - middle) * min(error / allowed - 1, 1.0)
         level = max(math.log2(pixel_angle * nearest / self.pitch_mm), 0.0)
         # What a coarser level smooths away must fall with the budget.
