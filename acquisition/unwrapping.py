@@ -303,7 +303,11 @@ def _is_of_the_code(
     """Whether a component's border of whole periods keeps to coordinates of the panel."""
     own = ((jumps[:, 0] == component) | (jumps[:, 1] == component)) & (jumps[:, 4] == 1)
     for number, axis in enumerate(pair):
-        border = jumps[own & (jumps[:, 2 + number] != 0), 5]
+        jumping = own & (jumps[:, 2 + number] != 0)
+        if pair[0] is not pair[1]:
+            # What goes on in one axis only: no code makes both jump at one place.
+            jumping &= jumps[:, 3 - number] == 0
+        border = jumps[jumping, 5]
         at = axis.coordinate.ravel()[border]
         near = max(_KEEPS_PERIODS * axis.period_px, slopes[number] / 2)
         near = min(near, axis.period_px / 4)

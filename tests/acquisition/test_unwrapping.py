@@ -144,6 +144,18 @@ def test_a_frame_that_stands_whole_periods_before_its_wall_is_kept(periods, both
     assert not check.wrong.any()
 
 
+def test_a_board_that_stands_whole_periods_before_its_wall_in_both_axes_is_kept():
+    """Its edges run along the fringes, as those of a wrong code do; but no code makes both jump."""
+    column = noisy(60 + 1.1 * np.indices((240, 320))[1].astype(float))
+    row = noisy(20 + 1.1 * np.indices((240, 320))[0].astype(float), seed=1)
+    column[100:140, 20:300] -= 2 * PERIOD
+    row[100:140, 20:300] += PERIOD
+    check = check_orders({Axis.COLUMN: axis_of(column), Axis.ROW: axis_of(row, extent=320)})
+    np.testing.assert_array_equal(check.coordinates[Axis.COLUMN], column)
+    np.testing.assert_array_equal(check.coordinates[Axis.ROW], row)
+    assert not check.wrong.any()
+
+
 def test_uncertain_orders_need_neighbours():
     truth = noisy(ramp())
     truth[:, 100:110] = np.nan
