@@ -99,7 +99,7 @@ def encode(radiance: NDArray[np.floating]) -> NDArray[np.float32]:
 
 def flip_map(shown: NDArray[np.float32], wanted: NDArray[np.float32]) -> Floats:
     """FLIP of sRGB pictures (rows, cols, 3) by pixel."""
-    import flip_evaluator  # type: ignore[import-untyped]
+    import flip_evaluator
 
     error, _, _ = flip_evaluator.evaluate(wanted, shown, "LDR", applyMagma=False)
     return np.asarray(error, dtype=np.float64).reshape(shown.shape[:2])

@@ -56,8 +56,8 @@ class Reference:
     """
 
     def __init__(self, copy: DigitalCopy) -> None:
-        from embreex.mesh_construction import TriangleMesh  # type: ignore[import-untyped]
-        from embreex.rtcore_scene import EmbreeScene  # type: ignore[import-untyped]
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
 
         vertices, triangles = surface_triangles(copy)
         self._corners = vertices.astype(np.float64)[triangles]
