@@ -71,8 +71,8 @@ def process(
     With photographs the copy gets its reflectance, and a picture beside it compares some that were
     kept out of the fit with their renderings.
 
-    Examples
-    --------
+    Example:
+
         impasto process session/ --out copy/
 
         impasto process session/ --photographs photographs/ --lamps lamps.json --out copy/
