@@ -74,7 +74,11 @@ class Colour(Enum):
     RED = 1
 
 
-@pytest.mark.parametrize("value", [object(), {1, 2}, np.array([object()]), b"bytes"], ids=repr)
+@pytest.mark.parametrize(
+    "value",
+    [object(), {1, 2}, np.array([object()]), b"bytes"],
+    ids=["object", "set", "array of objects", "bytes"],
+)
 def test_what_cannot_be_stored_is_refused_and_leaves_nothing(tmp_path, value):
     with pytest.raises(ResultFileError, match="cannot be stored"):
         write_result((1, value), tmp_path / "value.npz")
