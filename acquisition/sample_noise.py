@@ -118,9 +118,14 @@ def fit_sample_noise(
         read, gain = float(np.average(variances, weights=weight)), 0.0
     black_level = 0.0
     if gain > 0 and read < floor:
-        # A sensor that says more than nothing in the dark: the line ends there.
         black_level = min(float((floor - read) / gain), float(levels.min()))
-        read = read + gain * black_level
+        if levels.min() - black_level < np.ptp(levels):
+            # A sensor that says more than nothing in the dark: the line ends there.
+            read = read + gain * black_level
+        else:
+            # Levels far from where the line would end do not tell where that is.
+            black_level, read = 0.0, floor
+            gain = float(np.median(np.maximum(variances - floor, 0) / np.maximum(levels, 1e-6)))
     return SampleNoise(max(floor, float(read)), float(gain), origin, black_level)
 
 

@@ -20,6 +20,8 @@ from acquisition.patterns import Axis
 from acquisition.session_writer import SessionWriter
 from calibration.opencv_files import write_matrices
 from fitting.copy_files import read_copy, write_copy
+from render.painting_node import Mode
+from render.views import NamedView
 from workstation import commands
 
 IMPASTO = Path(sys.executable).parent / "impasto"
@@ -79,7 +81,7 @@ def test_render_writes_linear_and_display_pictures(tmp_path):
         *("--size", "80x60", "--out", tmp_path / "all"),
     )
     assert done.returncode == 0, done.stderr
-    assert len(list((tmp_path / "all").iterdir())) == 31
+    assert len(list((tmp_path / "all").iterdir())) == len(Mode) * len(NamedView) + 1
 
 
 @pytest.fixture
