@@ -21,7 +21,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from acquisition.frame_files import Samples
 from acquisition.fringes import Fringe
@@ -66,14 +66,14 @@ def _squares_limit(shifts: tuple[float, ...], false_alarm: float) -> float:
             spread = remainder * (1 + contrast * np.cos(phase + delta))
             mean, square = np.trace(spread), np.trace(spread @ spread)
             if mean > 1e-9:
-                limit = square / mean * stats.chi2.isf(false_alarm, mean**2 / square)
+                limit = square / mean * special.chdtri(mean**2 / square, false_alarm)
                 largest = max(largest, float(limit))
     return _NOISE_MARGIN * largest
 
 
 @lru_cache(maxsize=64)
 def _median_of_chi_square(degrees_of_freedom: int) -> float:
-    return float(stats.chi2.median(degrees_of_freedom))
+    return float(special.chdtri(degrees_of_freedom, 0.5))
 
 
 def residual_harmonics(

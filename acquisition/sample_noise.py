@@ -15,7 +15,7 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage, stats
+from scipy import ndimage, special
 
 from acquisition.frame_files import Samples
 from acquisition.fringes import Fringe
@@ -99,7 +99,7 @@ def fit_sample_noise(
     levels = level[order].mean(axis=1)
     place = int(quantile * (each - 1))
     variances = np.partition(residual_sum[order], place, axis=1)[:, place]
-    variances = variances / stats.chi2.ppf(quantile, degrees_of_freedom)
+    variances = variances / special.chdtri(degrees_of_freedom, 1 - quantile)
     floor = QUANTISATION_VARIANCE
     if groups < 3 or np.ptp(levels) < 1e-3 * max(1.0, abs(levels).max()):
         return SampleNoise(max(floor, float(np.median(variances))), 0.0, origin)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import chi2
+from scipy import special
 
 from fitting.errors import FittingError
 from fitting.reflectance.batch_kernels import FitArrays, fit_batch
@@ -139,7 +139,7 @@ def highlight_threshold(false_alarm_rate: float, lobes_tried: int) -> float:
     low, high = 0.0, 1000.0
     for _ in range(80):
         middle = 0.5 * (low + high)
-        tail = sum(w * chi2.sf(middle, df) for df, w in enumerate(_CHI_BAR_WEIGHTS) if df)
+        tail = sum(w * special.chdtrc(df, middle) for df, w in enumerate(_CHI_BAR_WEIGHTS) if df)
         low, high = (middle, high) if tail > wanted else (low, middle)
     return high
 

@@ -161,8 +161,14 @@ files = ["a.png", "b.png", "c.png"]
     assert sorted(p.name for p in tmp_path.iterdir()) == before
 
 
-@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("stage", ["scanning", "reconstructing", "rendering near-front"])
+@pytest.mark.parametrize(
+    ("sign", "stage"),
+    [
+        (signal.SIGTERM, "scanning"),
+        (signal.SIGINT, "reconstructing"),
+        (signal.SIGINT, "rendering near-front"),
+    ],
+)
 def test_an_interrupted_demo_leaves_nothing(tmp_path, sign, stage):
     words = [str(IMPASTO), "demo", "--out", str(tmp_path / "demo")]
     running = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
