@@ -118,10 +118,11 @@ def fit_sample_noise(
         read, gain = float(np.average(variances, weights=weight)), 0.0
     black_level = 0.0
     if gain > 0 and read < floor:
-        black_level = min(float((floor - read) / gain), float(levels.min()))
-        if levels.min() - black_level < np.ptp(levels):
-            # A sensor that says more than nothing in the dark: the line ends there.
-            read = read + gain * black_level
+        least = float(levels.min())
+        if least - (floor - read) / gain < np.ptp(levels):
+            # A sensor that says more than nothing in the dark. What is darker than all that tells
+            # of the noise is not taken to be free of it.
+            black_level, read = least, read + gain * least
         else:
             # Levels far from where the line would end do not tell where that is.
             black_level, read = 0.0, floor
