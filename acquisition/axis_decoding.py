@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -200,6 +201,7 @@ class FringeDecoder:
         ceiling = np.float32(stream.plan.saturation_level - 0.5)
         flats = {(frame.pattern, frame.exposure_s): frame.id for frame in stream.plan.frames}
 
+        @cache
         def level_at(exposure_s: float | None) -> NDArray[np.float32]:
             white, black = flats.get((WHITE, exposure_s)), flats.get((BLACK, exposure_s))
             if exposure_s != longest.exposure_s and white is not None and black is not None:

@@ -15,7 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from devices.interfaces import ArmPose, BayerPattern
+from devices.bayer import BayerPattern
+from devices.interfaces import ArmPose
 from devices.simulated.rig import build_rig
 from devices.simulated.settings import PaintingKind, SimulationSettings
 from workstation.benchmark_records import Record, Sense, print_records

@@ -10,13 +10,13 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import dataclass, field
-from enum import StrEnum
 from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.bayer import BayerPattern
 from devices.deadline import Deadline
 from devices.errors import DeviceError
 
@@ -158,15 +158,6 @@ class Frame:
     monotonic_s: float
     wall_time: float
     subject: Subject = Subject()
-
-
-class BayerPattern(StrEnum):
-    """Colours of a mosaic's first two rows, row by row."""
-
-    RGGB = "RGGB"
-    GRBG = "GRBG"
-    GBRG = "GBRG"
-    BGGR = "BGGR"
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.srgb import encode_srgb
 from fitting.digital_copy import DigitalCopy
 from render.adaptive import AdaptiveOptions
 from render.bounded import BUDGET_PX
@@ -83,10 +84,7 @@ class RenderedImage:
         """(rows, cols, 3) uint8 sRGB of the radiance times ``exposure``."""
         if not 0 < exposure < np.inf:
             raise RenderError(f"an exposure is a positive factor, not {exposure}")
-        linear = np.clip(self.radiance * exposure, 0.0, 1.0)
-        low = 12.92 * linear
-        high = 1.055 * np.power(np.maximum(linear, 0.0031308), 1 / 2.4) - 0.055
-        return np.asarray(np.round(255 * np.where(linear <= 0.0031308, low, high)), dtype=np.uint8)
+        return np.asarray(np.round(255 * encode_srgb(self.radiance * exposure)), dtype=np.uint8)
 
 
 class Painter:

@@ -1,13 +1,10 @@
 """Pictures of a calibration's report: residuals, uncertainty, coverage, planes, drift.
 
-Each function draws one figure and returns it as base64 PNG. Colours keep their order in print and
+Each function draws one figure and returns it as PNG. Colours keep their order in print and
 for readers who do not tell red from green.
 """
 
 from __future__ import annotations
-
-import base64
-from io import BytesIO
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,6 +16,7 @@ from calibration.board_relief import PITCH_MM
 from calibration.cross_validation import CalibrationDifference
 from calibration.procam import LENS_NAMES
 from workstation.calibration_figures import tilts_deg
+from workstation.report_page import figure_png
 from workstation.rig_calibration import CalibratedRig, HeightUncertainty
 
 _WIDTH_IN = 4.6
@@ -28,7 +26,7 @@ _INK = "#204a6b"
 _HOT = "#b3402a"
 
 
-def residual_vectors(done: CalibratedRig, number: int) -> str:
+def residual_vectors(done: CalibratedRig, number: int) -> bytes:
     """Residuals of all views over a lens's imager, drawn long enough to be seen."""
     pixels, left = _residuals(done, number)
     figure, axes = _imager(done, number)
@@ -48,10 +46,10 @@ def residual_vectors(done: CalibratedRig, number: int) -> str:
     key = _round_figure(usual)
     axes.set_title(" ", fontsize=9)
     axes.quiverkey(arrows, 0.9, 1.03, key, f"{key:g} px", labelpos="W", fontproperties={"size": 8})
-    return _png(figure)
+    return figure_png(figure, dpi=_DPI)
 
 
-def residual_means(done: CalibratedRig, number: int) -> str:
+def residual_means(done: CalibratedRig, number: int) -> bytes:
     """Mean residual of regions of the imager, over its own standard error."""
     pixels, left = _residuals(done, number)
     lens = done.calibration.solution.lenses[number]
@@ -82,10 +80,10 @@ def residual_means(done: CalibratedRig, number: int) -> str:
             ink = "white" if ratio[n] > 2.5 else "black"
             axes.text(x, y, text, ha="center", va="center", fontsize=6.5, color=ink)
     _bar(figure, shown, axes, "mean over its standard error")
-    return _png(figure)
+    return figure_png(figure, dpi=_DPI)
 
 
-def residual_histogram(done: CalibratedRig, number: int) -> str:
+def residual_histogram(done: CalibratedRig, number: int) -> bytes:
     """Residuals over their standard deviations, beside the normal distribution."""
     solution, views = done.calibration.solution, done.calibration.views
     kept = solution.inliers[:, number]
@@ -104,10 +102,10 @@ def residual_histogram(done: CalibratedRig, number: int) -> str:
     axes.set_title(f"{beyond:.2%} beyond 3σ (normal 0.27 %)", fontsize=9)
     axes.legend(fontsize=8, frameon=False)
     axes.tick_params(labelsize=8)
-    return _png(figure)
+    return figure_png(figure, dpi=_DPI)
 
 
-def uncertainty_picture(done: CalibratedRig, number: int) -> str:
+def uncertainty_picture(done: CalibratedRig, number: int) -> bytes:
     """Standard deviation of projection along the worst direction, in pixels."""
     found = done.uncertainty[number]
     lens = done.calibration.solution.lenses[number]
@@ -129,10 +127,10 @@ def uncertainty_picture(done: CalibratedRig, number: int) -> str:
     axes.set_xlim(-0.5, lens.width - 0.5)
     axes.set_ylim(lens.height - 0.5, -0.5)
     _bar(figure, shown, axes, "px")
-    return _png(figure)
+    return figure_png(figure, dpi=_DPI)
 
 
-def height_picture(heights: HeightUncertainty) -> str:
+def height_picture(heights: HeightUncertainty) -> bytes:
     """Standard error of heights over the working plane, in µm."""
     figure = Figure(figsize=(_WIDTH_IN, 3.6), layout="constrained", dpi=_DPI)
     FigureCanvasAgg(figure)
@@ -146,10 +144,10 @@ def height_picture(heights: HeightUncertainty) -> str:
     axes.set_ylabel("y, mm", fontsize=9)
     axes.tick_params(labelsize=8)
     _bar(figure, shown, axes, "µm")
-    return _png(figure)
+    return figure_png(figure, dpi=_DPI)
 
 
-def coverage_picture(done: CalibratedRig, number: int) -> str:
+def coverage_picture(done: CalibratedRig, number: int) -> bytes:
     """Corners that took part, over the imager and the cells of the gate."""
     pixels, _ = _residuals(done, number)
     lens = done.calibration.solution.lenses[number]
@@ -159,10 +157,10 @@ def coverage_picture(done: CalibratedRig, number: int) -> str:
     for share in (0.25, 0.5, 0.75):
         axes.axvline(share * lens.width, color="#999", lw=0.5)
         axes.axhline(share * lens.height, color="#999", lw=0.5)
-    return _png(figure)
+    return figure_png(figure, dpi=_DPI)
 
 
-def tilt_picture(done: CalibratedRig) -> str:
+def tilt_picture(done: CalibratedRig) -> bytes:
     """Tilts of the boards to the right and downwards, degrees."""
     tilts = tilts_deg(done)
     figure = Figure(figsize=(_WIDTH_IN, _WIDTH_IN * 0.85), layout="constrained", dpi=_DPI)
@@ -184,10 +182,12 @@ def tilt_picture(done: CalibratedRig) -> str:
     axes.set_xlabel("tilt to the right, °", fontsize=9)
     axes.set_ylabel("tilt downwards, °", fontsize=9)
     axes.tick_params(labelsize=8)
-    return _png(figure)
+    return figure_png(figure, dpi=_DPI)
 
 
-def difference_picture(done: CalibratedRig, number: int, difference: CalibrationDifference) -> str:
+def difference_picture(
+    done: CalibratedRig, number: int, difference: CalibrationDifference
+) -> bytes:
     """Where two calibrations of a lens differ, and by how much."""
     figure, axes = _imager(done, number)
     length = np.linalg.norm(difference.difference_px, axis=-1)
@@ -203,10 +203,10 @@ def difference_picture(done: CalibratedRig, number: int, difference: Calibration
         width=0.003,
     )
     _bar(figure, shown, axes, "px")
-    return _png(figure)
+    return figure_png(figure, dpi=_DPI)
 
 
-def plane_picture(height_mm: NDArray[np.float64]) -> str:
+def plane_picture(height_mm: NDArray[np.float64]) -> bytes:
     """A board reconstructed by a calibration that has not seen it, its plane removed, in µm."""
     rows, cols = height_mm.shape
     size = cols * PITCH_MM, rows * PITCH_MM
@@ -229,7 +229,7 @@ def plane_picture(height_mm: NDArray[np.float64]) -> str:
     axes.set_ylabel("along its rows, mm", fontsize=9)
     axes.tick_params(labelsize=8)
     _bar(figure, shown, axes, "µm")
-    return _png(figure)
+    return figure_png(figure, dpi=_DPI)
 
 
 def _residuals(done: CalibratedRig, number: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -271,9 +271,3 @@ def _thinned(count: int, most: int) -> NDArray[np.int_]:
 def _round_figure(value: float) -> float:
     power = 10.0 ** np.floor(np.log10(value))
     return float(power * next(f for f in (5, 2, 1) if f * power <= value))
-
-
-def _png(figure: Figure) -> str:
-    buffer = BytesIO()
-    figure.savefig(buffer, format="png", dpi=_DPI)
-    return base64.b64encode(buffer.getvalue()).decode()

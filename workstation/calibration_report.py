@@ -7,11 +7,8 @@ cross-validation, a plane that took no part, drift, and every pose and corner th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-from jinja2 import Environment, PackageLoader, select_autoescape
 
 from acquisition.atomic_files import write_bytes
 from calibration.procam import LENS_NAMES
@@ -28,6 +25,7 @@ from workstation.calibration_plots import (
     uncertainty_picture,
 )
 from workstation.json_output import write_json
+from workstation.report_page import Picture, page_templates
 from workstation.report_sections import ReportSections, srgb_code
 from workstation.rig_calibration import CalibratedRig
 from workstation.section_plots import light_picture, response_picture
@@ -35,22 +33,6 @@ from workstation.section_plots import light_picture, response_picture
 PAGE_FILE = "index.html"
 JSON_FILE = "report.json"
 _PARAMETERS = ("f_x", "f_y", "c_x", "c_y", "k₁", "k₂", "p₁", "p₂", "k₃", "k₄", "k₅", "k₆")
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A figure of the page.
-
-    Attributes
-    ----------
-    data : str
-        Base64 PNG.
-    caption : str
-        What it shows and how to read it.
-    """
-
-    data: str
-    caption: str
 
 
 def write_report(
@@ -67,12 +49,7 @@ def write_report(
     """
     sections = sections or ReportSections()
     figures = calibration_figures(done)
-    environment = Environment(
-        loader=PackageLoader("workstation"),
-        autoescape=select_autoescape(default=True),
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = page_templates()
     environment.filters["srgb"] = srgb_code
     page = environment.get_template("calibration.html").render(
         figures=figures,
@@ -80,8 +57,8 @@ def write_report(
         parameters=_parameters(figures),
         pictures=_pictures(done),
         sections=sections,
-        light_picture=None if sections.lights is None else light_picture(sections.lights),
-        response_pictures=[response_picture(curve) for curve in sections.responses],
+        light_picture=_light_picture(sections),
+        response_pictures=[Picture(c.name, response_picture(c)) for c in sections.responses],
     )
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -142,11 +119,18 @@ def _with_error(value: float, sigma: float, digits: int) -> str:
     return f"{value:.{digits}f} ± {sigma:.{digits}f}"
 
 
+def _light_picture(sections: ReportSections) -> Picture | None:
+    if sections.lights is None:
+        return None
+    caption = "Positions of the lamp; the square is the origin"
+    return Picture(caption, light_picture(sections.lights))
+
+
 def _pictures(done: CalibratedRig) -> dict[str, list[Picture]]:
     numbers = range(len(LENS_NAMES))
 
     def each(draw: Any, caption: str) -> list[Picture]:
-        return [Picture(draw(done, n), f"{LENS_NAMES[n].capitalize()}: {caption}") for n in numbers]
+        return [Picture(f"{LENS_NAMES[n].capitalize()}: {caption}", draw(done, n)) for n in numbers]
 
     pictures = {
         "vectors": each(residual_vectors, "residuals of all poses, solved less observed"),
@@ -160,7 +144,7 @@ def _pictures(done: CalibratedRig) -> dict[str, list[Picture]]:
             "standard deviation of projection at the working distance, worst direction",
         ),
         "coverage": each(coverage_picture, "corners that took part"),
-        "tilts": [Picture(tilt_picture(done), "Tilts of the boards; rings at 20° and 40°")],
+        "tilts": [Picture("Tilts of the boards; rings at 20° and 40°", tilt_picture(done))],
         "heights": [],
         "difference": [],
         "plane": [],
@@ -169,26 +153,26 @@ def _pictures(done: CalibratedRig) -> dict[str, list[Picture]]:
     if done.heights is not None:
         pictures["heights"] = [
             Picture(
-                height_picture(done.heights),
                 "Standard error of heights on a plane at the working distance, plane removed",
+                height_picture(done.heights),
             )
         ]
     pictures["difference"] = [
         Picture(
-            difference_picture(done, n, difference),
             f"{LENS_NAMES[n].capitalize()}: difference of two calibrations from every other pose",
+            difference_picture(done, n, difference),
         )
         for n, difference in enumerate(done.differences)
     ]
     if done.plane is not None:
         caption = f"Board of {done.plane.pose}, held out, its plane removed, averaged over 1.5 mm"
-        pictures["plane"] = [Picture(plane_picture(done.plane.relief.height_mm), caption)]
+        pictures["plane"] = [Picture(caption, plane_picture(done.plane.relief.height_mm))]
     if done.earlier:
         drift = done.earlier[0].drift
         pictures["drift"] = [
             Picture(
-                difference_picture(done, n, change),
                 f"{LENS_NAMES[n].capitalize()}: change since {done.earlier[0].name}",
+                difference_picture(done, n, change),
             )
             for n, change in enumerate((drift.camera, drift.projector))
         ]

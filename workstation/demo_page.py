@@ -2,28 +2,21 @@
 
 from __future__ import annotations
 
-import base64
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, select_autoescape
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from acquisition.atomic_files import write_bytes
 from fitting.digital_copy import DigitalCopy
 from render.views import NamedView
 from workstation.demonstration import HeightError
 from workstation.processing import Processed
+from workstation.report_maps import draw_map
+from workstation.report_page import Picture, page_templates
 
 
 def write_demo_page(done: Processed, error: HeightError, seconds: float, path: Path) -> None:
     """Write ``index.html`` beside the demo's renders."""
-    environment = Environment(
-        loader=PackageLoader("workstation"), autoescape=select_autoescape(default=True)
-    )
     figures = done.figures
     noise = figures["height_noise"]
     rows = [
@@ -41,61 +34,25 @@ def write_demo_page(done: Processed, error: HeightError, seconds: float, path: P
         ("relief threshold δ0", f"{figures['delta0_mm']:.2f} mm, {figures['boxes']} boxes"),
         ("time in all", f"{seconds:.1f} s"),
     ]
-    page = environment.get_template("demo.html").render(
-        canvas=figures["size_mm"], rows=rows, maps=_maps(done.copy), views=list(NamedView)
+    page = (
+        page_templates()
+        .get_template("demo.html")
+        .render(canvas=figures["size_mm"], rows=rows, maps=_maps(done.copy), views=list(NamedView))
     )
     write_bytes(path, page.encode())
 
 
-def _maps(copy: DigitalCopy) -> list[tuple[str, str]]:
+def _maps(copy: DigitalCopy) -> list[Picture]:
     field = copy.height_field
-    gaps = ~field.mask
-    heights: NDArray[np.floating] = np.ma.masked_array(field.height, gaps)
-    sigma: NDArray[np.floating] = np.ma.masked_array(1000 * np.sqrt(field.variance), gaps)
-    relief: NDArray[np.floating] = np.ma.masked_array(copy.relief.significant.astype(float), gaps)
-    boxes = _plot(relief, "", copy, "Greys", boxes=True)
+    sigma_um = 1e3 * np.sqrt(field.variance.astype(np.float64))
+    relief = copy.relief.significant.astype(np.float64)
     return [
-        ("Height above the canvas plane, mm", _plot(heights, "mm", copy, "viridis")),
-        ("Standard error of the height, µm", _plot(sigma, "µm", copy, "magma", top=98.0)),
-        ("Significant relief and its boxes", boxes),
+        Picture("Height above the canvas plane, mm", draw_map(copy, field.height, unit="mm")),
+        Picture(
+            "Standard error of the height, µm",
+            draw_map(copy, sigma_um, unit="µm", colours="magma", limits=(0.0, 98.0)),
+        ),
+        Picture(
+            "Significant relief and its boxes", draw_map(copy, relief, colours="Greys", boxes=True)
+        ),
     ]
-
-
-def _plot(
-    values: NDArray[np.floating],
-    unit: str,
-    copy: DigitalCopy,
-    colours: str,
-    *,
-    top: float = 100.0,
-    boxes: bool = False,
-) -> str:
-    """A map with its scale, as base64 PNG."""
-    field = copy.height_field
-    x0, y0 = field.origin_mm
-    width, height = field.size_mm
-    figure = Figure(figsize=(6, 6 * height / width + 0.6), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    shown = axes.imshow(
-        values,
-        extent=(x0, x0 + width, y0 - height, y0),
-        cmap=colours,
-        vmax=float(np.percentile(np.ma.compressed(values), top)),
-    )
-    axes.set_xlabel("X, mm")
-    axes.set_ylabel("Y, mm")
-    if unit:
-        figure.colorbar(shown, ax=axes, label=unit, shrink=0.8)
-    if boxes:
-        from matplotlib.patches import Rectangle
-
-        for (row, col), (rows, cols) in zip(
-            copy.relief.boxes.corner, copy.relief.boxes.size, strict=True
-        ):
-            corner = (x0 + col * field.pitch_mm, y0 - (row + rows) * field.pitch_mm)
-            size = (cols * field.pitch_mm, rows * field.pitch_mm)
-            axes.add_patch(Rectangle(corner, *size, fill=False, edgecolor="tab:red", linewidth=0.8))
-    buffer = BytesIO()
-    figure.savefig(buffer, format="png", dpi=110)
-    return base64.b64encode(buffer.getvalue()).decode()

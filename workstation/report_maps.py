@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from io import BytesIO
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -14,6 +13,7 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from fitting.digital_copy import DigitalCopy
+from workstation.report_page import figure_png
 
 _LARGEST_SIDE_PX = 1200
 _DPI = 110
@@ -77,7 +77,7 @@ def draw_map(
     axes.set_ylabel("Y, mm")
     axes.set_xlim(extent[:2])
     axes.set_ylim(extent[2:])
-    return _png(figure)
+    return figure_png(figure, dpi=_DPI)
 
 
 def shaded_relief(
@@ -95,32 +95,6 @@ def shaded_relief(
     # Rows run from the painting's top down, as the light source takes them.
     shade = light.hillshade(filled, dx=field.pitch_mm, dy=field.pitch_mm)
     return np.asarray(np.repeat(shade[..., None], 3, axis=-1))
-
-
-def draw_histogram(z: NDArray[np.floating], *, label: str) -> bytes:
-    """Histogram of errors over their own standard errors, beside the normal law.
-
-    Parameters
-    ----------
-    z : array
-        Standardised errors.
-    label : str
-
-    Returns
-    -------
-    bytes
-        PNG.
-    """
-    figure = Figure(figsize=(_WIDTH_IN, 3.2), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    edges = np.linspace(-5, 5, 101)
-    axes.hist(z[np.isfinite(z)], bins=list(edges), density=True, color="#8fa9bf", label="observed")
-    normal = np.exp(-(edges**2) / 2) / math.sqrt(2 * math.pi)
-    axes.plot(edges, normal, color="#7a1f1f", label="predicted")
-    axes.set_xlabel(label)
-    axes.legend(frameon=False)
-    return _png(figure)
 
 
 def _boxes(copy: DigitalCopy) -> PatchCollection:
@@ -156,9 +130,3 @@ def _scale_bar(axes, width_mm: float) -> None:  # type: ignore[no-untyped-def]
         fontsize=8,
         bbox={"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 1.5},
     )
-
-
-def _png(figure: Figure) -> bytes:
-    buffer = BytesIO()
-    figure.savefig(buffer, format="png", dpi=_DPI)
-    return buffer.getvalue()

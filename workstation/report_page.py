@@ -1,12 +1,14 @@
-"""Pages of a report: one HTML file each, that asks for nothing outside itself."""
+"""Pages of reports: one HTML file each, that asks for nothing outside itself."""
 
 from __future__ import annotations
 
 import base64
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
+from matplotlib.figure import Figure
 
 from acquisition.atomic_files import write_bytes
 
@@ -90,12 +92,27 @@ def write_page(
     warnings : tuple of str
         Shown before the sections.
     """
-    environment = Environment(
+    page = (
+        page_templates()
+        .get_template("session.html")
+        .render(title=title, summary=summary, sections=sections, warnings=warnings)
+    )
+    write_bytes(path, page.encode())
+
+
+def page_templates() -> Environment:
+    """The templates that pages are made from."""
+    return Environment(
         loader=FileSystemLoader(Path(__file__).parent / "templates"),
         autoescape=select_autoescape(default=True),
         undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
-    page = environment.get_template("session.html").render(
-        title=title, summary=summary, sections=sections, warnings=warnings
-    )
-    write_bytes(path, page.encode())
+
+
+def figure_png(figure: Figure, *, dpi: float) -> bytes:
+    """A figure as PNG."""
+    buffer = BytesIO()
+    figure.savefig(buffer, format="png", dpi=dpi)
+    return buffer.getvalue()

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import base64
-from io import BytesIO
-
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from workstation.report_page import figure_png
 from workstation.report_sections import LightSection, ResponseCurve
 
 _DPI = 150
 
 
-def light_picture(lights: LightSection) -> str:
-    """The lamp's positions in space, coloured by what the model leaves, as base64 PNG."""
+def light_picture(lights: LightSection) -> bytes:
+    """The lamp's positions in space, coloured by what the model leaves, as PNG."""
     figure = Figure(figsize=(4.6, 4.2), dpi=_DPI)
     FigureCanvasAgg(figure)
     axes = figure.add_subplot(projection="3d")
@@ -31,11 +29,11 @@ def light_picture(lights: LightSection) -> str:
     bar = figure.colorbar(shown, ax=axes, shrink=0.6, pad=0.12)
     bar.set_label("residual, °", fontsize=8)
     bar.ax.tick_params(labelsize=7)
-    return _png(figure)
+    return figure_png(figure, dpi=_DPI)
 
 
-def response_picture(curve: ResponseCurve) -> str:
-    """A response and, where known, its standard error, as base64 PNG."""
+def response_picture(curve: ResponseCurve) -> bytes:
+    """A response and, where known, its standard error, as PNG."""
     figure = Figure(figsize=(4.6, 3.2), layout="constrained", dpi=_DPI)
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
@@ -48,10 +46,4 @@ def response_picture(curve: ResponseCurve) -> str:
     axes.set_xlabel(curve.input_name, fontsize=9)
     axes.set_ylabel(curve.output_name, fontsize=9)
     axes.tick_params(labelsize=8)
-    return _png(figure)
-
-
-def _png(figure: Figure) -> str:
-    buffer = BytesIO()
-    figure.savefig(buffer, format="png", dpi=_DPI)
-    return base64.b64encode(buffer.getvalue()).decode()
+    return figure_png(figure, dpi=_DPI)

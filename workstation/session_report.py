@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from acquisition.contact_sheet import draw_contact_sheet
 from acquisition.session import Session
 from calibration.rig_geometry import RigGeometry
+from calibration.srgb import encode_srgb
 from fitting.copy_files import read_copy
 from fitting.digital_copy import DigitalCopy
 from fitting.relief_picture import draw_relief
@@ -216,7 +217,7 @@ def _reflectance(copy: DigitalCopy) -> Section:
     specular = maps.specular.astype(np.float64).mean(axis=-1)
     exponent = np.log10(np.maximum(maps.lobe[..., 3].astype(np.float64), 1.0))
     pictures = (
-        Picture("Diffuse colour π ρ_d", draw_map(copy, _encoded(diffuse))),
+        Picture("Diffuse colour π ρ_d", draw_map(copy, encode_srgb(diffuse))),
         Picture(
             "Strength of the lobe ρ_s, mean of red, green and blue",
             draw_map(copy, specular, unit="1/sr", colours="cividis", limits=(1, 99)),
@@ -241,8 +242,6 @@ def _errors(copy: DigitalCopy) -> Section:
     if isinstance(noise, dict):
         predicted, observed = noise["predicted_mm"], noise["observed_mm"]
         rows.append(_compared("white noise of the range image", "mm", predicted, observed))
-    for name, entry in errors.get("compared", {}).items():
-        rows.append(_compared(name, entry["unit"], entry["predicted"], entry["observed"]))
     rows.append(
         ("standard error of a height, median", f"{errors.get('height_sigma_mm', math.nan):.4f} mm")
     )
@@ -303,13 +302,6 @@ def _parameters(copy: DigitalCopy) -> Section:
 
     walk("", copy.provenance.get("parameters", {}))
     return Section("Parameters", tables=(Table(tuple(rows)),))
-
-
-def _encoded(linear: NDArray[np.floating]) -> NDArray[np.float64]:
-    """SRGB display values of linear ones."""
-    clipped = np.clip(linear, 0.0, 1.0)
-    high = 1.055 * np.power(np.maximum(clipped, 0.0031308), 1 / 2.4) - 0.055
-    return np.asarray(np.where(clipped <= 0.0031308, 12.92 * clipped, high))
 
 
 def _jpeg(picture: NDArray[np.uint8]) -> bytes:

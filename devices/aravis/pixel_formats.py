@@ -13,8 +13,8 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.bayer import BayerPattern
 from devices.errors import DeviceError
-from devices.interfaces import BayerPattern
 
 
 class Packing(Enum):

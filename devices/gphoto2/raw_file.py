@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.bayer import BayerPattern
 from devices.errors import DeviceError
-from devices.interfaces import BayerPattern
 from devices.optional_packages import import_optional
 
 _JPEG = b"\xff\xd8\xff"

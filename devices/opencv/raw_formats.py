@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.bayer import BayerPattern
 from devices.errors import DeviceError
-from devices.interfaces import BayerPattern
 from devices.opencv.settings import Channel
 
 

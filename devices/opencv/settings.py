@@ -8,8 +8,9 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
+from devices.bayer import BayerPattern
 from devices.discovery import Found
-from devices.interfaces import BayerPattern, Camera
+from devices.interfaces import Camera
 from devices.settings import Address, DriverSettings
 
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.bayer import BayerPattern
 from devices.errors import DeviceError
-from devices.interfaces import BayerPattern
 from devices.simulated.sensor_kernels import expose, look_up
 
 _MONO = (0.30, 0.45, 0.25)

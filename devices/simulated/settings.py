@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from devices.interfaces import BayerPattern
+from devices.bayer import BayerPattern
 from devices.settings import DriverSettings
 
 if TYPE_CHECKING:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.atomic_files import write_bytes
+from calibration.srgb import encode_srgb
 from fitting.errors import FittingError
 from fitting.reflectance.held_out import Comparison
 
@@ -71,6 +72,5 @@ def _row(one: Comparison) -> NDArray[np.uint8]:
 
 def _shown(image: NDArray[np.float32], white: float) -> NDArray[np.uint8]:
     """Linear radiance by the curve of sRGB, in OpenCV's order of the channels."""
-    linear = np.nan_to_num(np.clip(image / np.float32(white), 0.0, 1.0))
-    coded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    coded = encode_srgb(np.nan_to_num(image / np.float32(white)))
     return np.ascontiguousarray((255 * coded + 0.5).astype(np.uint8)[..., ::-1])

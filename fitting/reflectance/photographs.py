@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from calibration.lamp import Lamp
 from calibration.lens import Lens, invert
-from devices.interfaces import BayerPattern
+from devices.bayer import BayerPattern
 from fitting.errors import FittingError
 
 Singles = NDArray[np.float32]

@@ -24,7 +24,8 @@ from acquisition.session import Session
 from calibration.lamp import Lamp
 from calibration.lens import invert, rotation, transform
 from calibration.registration import RegisteredView
-from devices.interfaces import ArmPose, BayerPattern
+from devices.bayer import BayerPattern
+from devices.interfaces import ArmPose
 from fitting.errors import FittingError
 from fitting.reflectance.photographs import Photograph
 

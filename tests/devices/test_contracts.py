@@ -17,6 +17,7 @@ import fake_gv_camera
 import numpy as np
 import pytest
 
+from devices.bayer import BayerPattern
 from devices.deadline import Deadline
 from devices.drivers import DRIVERS, DeviceKind
 from devices.errors import DeviceError, DeviceTimeoutError
@@ -24,7 +25,6 @@ from devices.interfaces import (
     ArmCapabilities,
     ArmLimits,
     ArmPose,
-    BayerPattern,
     Camera,
     CameraCapabilities,
     CameraMount,

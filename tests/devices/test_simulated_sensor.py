@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from devices.bayer import BayerPattern
 from devices.errors import DeviceError
-from devices.interfaces import BayerPattern
 from devices.simulated.sensor import Light, Sensor
 
 DARK = np.zeros((2, 2), np.float32)

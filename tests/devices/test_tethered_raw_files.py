@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from digital_negative import digital_negative
 
+from devices.bayer import BayerPattern
 from devices.errors import DeviceError
 from devices.gphoto2.configuration import is_raw_only
 from devices.gphoto2.raw_file import decode_raw, is_jpeg
-from devices.interfaces import BayerPattern
 
 pytest.importorskip("rawpy")
 

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import base64
-
 import cv2
 import numpy as np
 import pytest
@@ -32,8 +30,8 @@ CURVE = ResponseCurve(
 )
 
 
-def picture(data: str) -> np.ndarray:
-    return cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_COLOR)
+def picture(data: bytes) -> np.ndarray:
+    return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
 
 
 def test_lights_and_responses_are_drawn():

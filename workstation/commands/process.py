@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from devices.interfaces import BayerPattern
+from devices.bayer import BayerPattern
 
 if TYPE_CHECKING:
     from fitting.digital_copy import DigitalCopy

@@ -8,7 +8,7 @@ from photographed_relief import COLS, ROWS, lamp, lens, photograph, pose_looking
 from synthetic_copy import make_copy, strokes
 
 from calibration.lens import transform
-from devices.interfaces import BayerPattern
+from devices.bayer import BayerPattern
 from fitting.errors import FittingError
 from fitting.reflectance.back_projection import PhotographSampler, SamplingOptions, Tile
 from fitting.reflectance.ray_kernels import BLOCKED

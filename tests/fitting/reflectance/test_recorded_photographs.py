@@ -15,7 +15,7 @@ from acquisition.recording import record_plan
 from acquisition.session import Session
 from acquisition.session_writer import SessionWriter
 from calibration.lens import compose, invert, transform
-from devices.interfaces import BayerPattern
+from devices.bayer import BayerPattern
 from fitting.errors import FittingError
 from fitting.reflectance.recorded_photographs import (
     PhotographOptions,
