@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from acquisition.atomic_files import file_in_progress
 from devices.errors import ImpastoError
 
-_PACKAGES = ("devices", "acquisition", "calibration", "fitting", "render", "workstation")
+# Where the types of results come from.
+PACKAGES = ("devices", "acquisition", "calibration", "fitting", "render", "workstation")
 _TREE = "tree"
 
 
@@ -138,7 +139,7 @@ def _name(kind: type) -> str:
 
 def _type(name: str, base: type | None) -> Any:
     module, _, qualified = name.partition(":")
-    if module.partition(".")[0] not in _PACKAGES:
+    if module.partition(".")[0] not in PACKAGES:
         raise ResultFileError(f"{name} is none of Impasto's types")
     kind: Any = importlib.import_module(module)
     for part in qualified.split("."):

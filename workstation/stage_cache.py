@@ -19,10 +19,9 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from acquisition.atomic_files import file_in_progress
-from workstation.result_files import ResultFileError, read_result, write_result
+from workstation.result_files import PACKAGES, ResultFileError, read_result, write_result
 
 T = TypeVar("T")
-_PACKAGES = ("devices", "acquisition", "calibration", "fitting", "render", "workstation")
 
 
 @dataclass(frozen=True)
@@ -182,7 +181,7 @@ def _program() -> str:
     """Digest of the program's source: another version may have other results."""
     root = Path(__file__).resolve().parents[1]
     digest = hashlib.sha256()
-    for package in _PACKAGES:
+    for package in PACKAGES:
         for file in sorted((root / package).rglob("*.py")):
             digest.update(file.relative_to(root).as_posix().encode())
             digest.update(file.read_bytes())

@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from synthetic_copy import make_copy, strokes
+from triangle_rays import meet_triangles
 
 from render.errors import RenderError
 from render.painting_node import Mode
@@ -29,17 +30,9 @@ def pixel_ray(view, row, col):
 
 
 def first_front_face(origin, ray, corners):
-    """Möller and Trumbore's intersection with every triangle, in double precision."""
-    edge1, edge2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    p = np.cross(ray, edge2)
-    determinant = (edge1 * p).sum(axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        s = origin - corners[:, 0]
-        u = (s * p).sum(axis=1) / determinant
-        q = np.cross(s, edge1)
-        v = (ray * q).sum(axis=1) / determinant
-        t = (edge2 * q).sum(axis=1) / determinant
-    met = (determinant > 0) & (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0)
+    """The point where a ray first meets a triangle that faces it; NaN where it meets none."""
+    t, inside, facing = meet_triangles(origin, ray, corners)
+    met = inside & facing
     return origin + t[met].min() * ray if met.any() else np.full(3, np.nan)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from rendered_heights import heights_hit
 from synthetic_copy import make_copy, strokes
+from triangle_rays import meet_triangles
 
 from fitting.digital_copy import ReflectanceMaps
 from render.errors import RenderError
@@ -63,17 +64,8 @@ def test_mesh_depth_agrees_with_rays_cast_on_its_triangles(painter, copy):
 
 
 def first_hit(origin, direction, corners):
-    """Möller and Trumbore's intersection with every triangle; the ray has z-depth 1."""
-    edge1, edge2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    p = np.cross(direction, edge2)
-    determinant = (edge1 * p).sum(axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        s = origin - corners[:, 0]
-        u = (s * p).sum(axis=1) / determinant
-        q = np.cross(s, edge1)
-        v = (direction * q).sum(axis=1) / determinant
-        t = (edge2 * q).sum(axis=1) / determinant
-        inside = (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0)
+    """Where a ray of z-depth 1 first meets a triangle; infinite where it meets none."""
+    t, inside, _ = meet_triangles(origin, direction, corners)
     return t[inside].min() if inside.any() else np.inf
 
 
