@@ -16,7 +16,7 @@ from render.errors import RenderError
 from render.opengl import GL, HeadlessContext, OpenGLError, pyrender
 from render.painting_maps import PaintingMaterial
 from render.painting_node import Mode, painting_mesh
-from render.painting_renderer import PaintingRenderer
+from render.painting_renderer import PaintingRenderer, RoomLight
 from render.shader_program import Shown
 from render.views import View, direction
 
@@ -124,6 +124,7 @@ class Painter:
         light: Light | None = None,
         adaptive: AdaptiveOptions | None = None,
         budget_px: float = BUDGET_PX,
+        shadows: bool = False,
     ) -> RenderedImage:
         """Draw one copy on its own.
 
@@ -139,6 +140,8 @@ class Painter:
             For :attr:`Mode.ADAPTIVE`.
         budget_px : float
             For :attr:`Mode.BOUNDED`: parallax that may be left, in pixels.
+        shadows : bool
+            Whether the relief casts shadows on itself.
 
         Returns
         -------
@@ -152,10 +155,30 @@ class Painter:
         self._refuse_size(width, height)
         mesh = self._kept_mesh(copy, mode, adaptive, budget_px)
         scene = painting_scene(copy, mesh, view, light or Light(), width / height)
-        return self.paint_scene(scene, width=width, height=height)
+        room_light = RoomLight() if shadows else None
+        return self.paint_scene(scene, width=width, height=height, room_light=room_light)
 
-    def paint_scene(self, scene: pyrender.Scene, *, width: int, height: int) -> RenderedImage:
+    def paint_scene(
+        self,
+        scene: pyrender.Scene,
+        *,
+        width: int,
+        height: int,
+        room_light: RoomLight | None = None,
+    ) -> RenderedImage:
         """Draw any pyrender scene, paintings among its nodes; units are mm.
+
+        Parameters
+        ----------
+        scene : pyrender.Scene
+        width, height : int
+            Of the picture in pixels.
+        room_light : RoomLight, optional
+            None casts no shadows.
+
+        Returns
+        -------
+        RenderedImage
 
         Raises
         ------
@@ -165,8 +188,12 @@ class Painter:
         self._refuse_size(width, height)
         n = self._supersampling
         self._renderer.viewport_width, self._renderer.viewport_height = width * n, height * n
+        flags = pyrender.RenderFlags.OFFSCREEN
+        if room_light is not None:
+            self._renderer.room_light = room_light
+            flags |= pyrender.RenderFlags.SHADOWS_SPOT
         try:
-            rgba, depth = self._renderer.render(scene, pyrender.RenderFlags.OFFSCREEN)
+            rgba, depth = self._renderer.render(scene, flags)
         except OpenGLError as error:
             raise RenderError(
                 f"OpenGL cannot draw this at {width}×{height} ({error.__class__.__name__}: "

@@ -141,16 +141,20 @@ class PaintingMaterial(pyrender.Material):
             return
         height = heights_with_gaps(self._copy.height_field)
         pyramid = min_max_pyramid(height)
+        cells = np.array([max(side - 1, 1) for side in height.shape[::-1]], np.int32)
         self.uniforms |= {
-            "cells": np.array([max(side - 1, 1) for side in height.shape[::-1]], np.int32),
+            "cells": cells,
+            "pyramid_cells": cells,
             "pyramid_top": len(pyramid) - 1,
         }
         cones = [
             np.dstack([level, cone_slopes(level[..., 0], self._copy.height_field.pitch_mm * 2**n)])
             for n, level in enumerate(self.height_levels)
         ]
+        heights = FloatTexture("height_map", [height[..., np.newaxis]])
         self._searched = {
-            "height_map": FloatTexture("height_map", [height[..., np.newaxis]]),
+            "height_map": heights,
+            "pyramid_heights": heights,
             "pyramid": FloatTexture("pyramid", pyramid, sampling=Sampling.TEXELS),
             "search_map": FloatTexture("search_map", cones, sampling=Sampling.NEAREST_LEVEL),
         }

@@ -88,6 +88,14 @@ class PaintingPrimitive(pyrender.Primitive):
         GL.glCullFace(GL.GL_BACK)
         self._unbind()
 
+    def draw_outline(self) -> None:
+        """Draw four vertices that the bound program places itself."""
+        self._bind()
+        GL.glDisable(GL.GL_CULL_FACE)
+        GL.glDisable(GL.GL_BLEND)
+        GL.glDrawArrays(GL.GL_TRIANGLE_STRIP, 0, 4)
+        self._unbind()
+
     def _set_state(self) -> None:
         GL.glPolygonMode(GL.GL_FRONT_AND_BACK, GL.GL_FILL)
         if self._counted:

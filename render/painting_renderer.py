@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,41 @@ from render.bounded import BoundedPrimitive
 from render.errors import RenderError
 from render.opengl import GL, pyrender
 from render.painting_primitive import PaintingPrimitive
-from render.shader_program import LinearProgramCache, PaintingProgram, Shown
+from render.shader_program import SHADOWS, LinearProgramCache, PaintingProgram, Shown
+
+_OUTLINE = ("outline.vert", "outline.frag", "", Shown.RADIANCE)
+_MOST_LIGHTS = 4  # of a kind on one mesh, with the shadow maps that texture units are there for
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoomLight:
+    """What light does in a room: shadows, and more of it from one side than from another.
+
+    Relief shades itself from every light. A spot light also casts the shadows of paintings and of
+    the scene's other meshes on each other; of a painting, that of its outline.
+
+    Attributes
+    ----------
+    lamp_radius_mm : float
+        Of spot lights, which are discs: half shadows are as wide as that makes them.
+    ambient_slope : (float, float, float)
+        Ambient light on a surface is multiplied by 1 plus the product of this and its normal, in
+        the scene's axes.
+
+    Raises
+    ------
+    RenderError
+        A radius that is negative, or a slope longer than 1.
+    """
+
+    lamp_radius_mm: float = 0.0
+    ambient_slope: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.lamp_radius_mm < np.inf:
+            raise RenderError(f"a lamp's radius is not negative: {self.lamp_radius_mm} mm")
+        if not np.linalg.norm(self.ambient_slope) <= 1:
+            raise RenderError(f"ambient light would be negative somewhere: {self.ambient_slope}")
 
 
 class PaintingRenderer(pyrender.renderer.Renderer):
@@ -26,6 +61,8 @@ class PaintingRenderer(pyrender.renderer.Renderer):
     ----------
     shown : Shown
         What paintings are drawn as.
+    room_light : RoomLight
+        Of pictures with shadows: those with the flag ``SHADOWS_SPOT``.
     painting_cpu_s : float or None
         Where it is a number, the processor time of drawing paintings is added to it, and every
         draw is waited for.
@@ -39,6 +76,7 @@ class PaintingRenderer(pyrender.renderer.Renderer):
         self._program_cache = LinearProgramCache()
         self._painting_programs: dict[tuple[str, str, str, Shown], PaintingProgram] = {}
         self.shown = Shown.RADIANCE
+        self.room_light = RoomLight()
         self.painting_cpu_s: float | None = None
 
     def delete(self) -> None:
@@ -54,10 +92,27 @@ class PaintingRenderer(pyrender.renderer.Renderer):
     def _get_primitive_program(self, primitive: Any, flags: int, program_flags: int) -> Any:
         if not isinstance(primitive, PaintingPrimitive):
             return super()._get_primitive_program(primitive, flags, program_flags)
-        key = (*primitive.shaders, self.shown)
+        if program_flags == pyrender.constants.ProgramFlags.NONE:
+            key = _OUTLINE
+        else:
+            vertex, fragment, variant = primitive.shaders
+            if flags & pyrender.RenderFlags.SHADOWS_SPOT:
+                variant = f"{variant} {SHADOWS}"
+            key = (vertex, fragment, variant, self.shown)
         if key not in self._painting_programs:
             self._painting_programs[key] = PaintingProgram(*key)
         return self._painting_programs[key]
+
+    def _update_context(self, scene: Any, flags: int) -> None:
+        if flags & pyrender.RenderFlags.SHADOWS_SPOT:
+            for mesh in scene.meshes:
+                for primitive in mesh.primitives:
+                    if isinstance(primitive, PaintingPrimitive):
+                        primitive.material.prepare_search()
+        super()._update_context(scene, flags)
+
+    def _compute_max_n_lights(self, flags: int) -> list[int]:
+        return [_MOST_LIGHTS] * 3
 
     def _sorted_mesh_nodes(self, scene: Any) -> Iterator[Any]:
         # A mesh may hang from several nodes: it is made ready for each just before it is drawn.
@@ -78,6 +133,9 @@ class PaintingRenderer(pyrender.renderer.Renderer):
         size = (self.viewport_width, self.viewport_height)
         self._projection = scene.main_camera_node.camera.get_projection_matrix(*size)
         super()._bind_lighting(scene, program, node, flags)
+        if flags & pyrender.RenderFlags.SHADOWS_SPOT:
+            program.set_uniform("lamp_radius_mm", self.room_light.lamp_radius_mm)
+            program.set_uniform("ambient_slope", np.array(self.room_light.ambient_slope))
 
     def _bind_and_draw_primitive(self, primitive: Any, pose: Any, program: Any, flags: int) -> None:
         if not isinstance(primitive, PaintingPrimitive):
@@ -88,6 +146,9 @@ class PaintingRenderer(pyrender.renderer.Renderer):
                 "a painting's node is scaled or sheared; a scene with paintings is in mm, and its "
                 "poses only turn and move"
             )
+        if flags & pyrender.RenderFlags.DEPTH_ONLY:
+            self._cast_outline(primitive, pose, program)
+            return
         if self.painting_cpu_s is None:
             self._draw_painting(primitive, pose, program)
             return
@@ -97,16 +158,28 @@ class PaintingRenderer(pyrender.renderer.Renderer):
         GL.glFinish()
         self.painting_cpu_s += time.process_time() - began
 
-    def _draw_painting(
+    def _cast_outline(
+        self, primitive: PaintingPrimitive, pose: NDArray[np.float64], program: PaintingProgram
+    ) -> None:
+        """Draw a painting into a shadow map."""
+        self._bind_material(primitive, pose, program)
+        primitive.draw_outline()
+
+    def _bind_material(
         self, primitive: PaintingPrimitive, pose: NDArray[np.float64], program: PaintingProgram
     ) -> None:
         program.set_uniform("M", pose)
-        program.set_uniform("pixel_angle", 2 / (self._projection[1, 1] * self.viewport_height))
         for name, value in primitive.material.uniforms.items():
             program.set_uniform(name, value)
         for name, texture in primitive.material.maps.items():
             if program.uses(name):
                 self._bind_texture(texture, name, program)
+
+    def _draw_painting(
+        self, primitive: PaintingPrimitive, pose: NDArray[np.float64], program: PaintingProgram
+    ) -> None:
+        self._bind_material(primitive, pose, program)
+        program.set_uniform("pixel_angle", 2 / (self._projection[1, 1] * self.viewport_height))
         to_canvas = np.linalg.inv(pose) @ self._camera_pose
         if program.uses("depth_row"):
             to_clip = self._projection @ np.linalg.inv(to_canvas)

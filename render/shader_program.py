@@ -19,6 +19,15 @@ _ENCODED = (
     "frag_color = clamp(vec4(pow(color.xyz, vec3(1.0/2.2)), color.a * base_color.a), 0.0, 1.0);"
 )
 _LINEAR = "frag_color = vec4(color.xyz, color.a * base_color.a);"
+# Its shadow and its ambient light, and where ours come in.
+_SHADOW = "float shadow_calc(mat4 light_matrix, sampler2D shadow_map, float nl)\n{\n"
+_SOFT_SHADOW = """
+    return 1.0 - soft_light(light_matrix, shadow_map, frag_position, normalize(get_normal()));
+"""
+_AMBIENT = "color.xyz += base_color.xyz * ambient_light;"
+_SLOPING = "color.xyz += base_color.xyz * ambient_light * (1.0 + dot(n, ambient_slope));"
+SHADOWS = "SHADOWS"
+"""Variant of every fragment shader: with shadows, and ambient light that has a direction."""
 
 
 class Shown(IntEnum):
@@ -37,7 +46,7 @@ class PaintingProgram:
     Parameters
     ----------
     vertex, fragment : str
-        File names; the fragment shader is preceded by ``surface.glsl``.
+        File names; the fragment shader is preceded by what it shares with others.
     shown : Shown
         What the fragment shader writes.
     variant : str
@@ -52,10 +61,10 @@ class PaintingProgram:
     def __init__(
         self, vertex: str, fragment: str, variant: str = "", shown: Shown = Shown.RADIANCE
     ) -> None:
-        shared = (_SHADERS / "surface.glsl").read_text()
+        shared = _shared_by(fragment, variant)
         parts = (
-            (GL.GL_VERTEX_SHADER, vertex, (_SHADERS / vertex).read_text()),
-            (GL.GL_FRAGMENT_SHADER, fragment, shared + (_SHADERS / fragment).read_text()),
+            (GL.GL_VERTEX_SHADER, vertex, _source(vertex)),
+            (GL.GL_FRAGMENT_SHADER, fragment, "".join(map(_source, [*shared, fragment]))),
         )
         defined = "".join(f"#define {name}\n" for name in variant.split())
         opening = f"{_VERSION}#define SHOWN {shown}\n{defined}"
@@ -122,8 +131,23 @@ class PaintingProgram:
         GL.glDeleteProgram(self._program)
 
 
+def _shared_by(fragment: str, variant: str) -> list[str]:
+    """What a fragment shader is preceded by."""
+    shadows = SHADOWS in variant.split()
+    shared = ["surface.glsl"]
+    if shadows or fragment == "exact.frag":
+        shared.append("triangles.glsl")
+    return [*shared, "shadows.glsl", "soft_shadow.glsl"] if shadows else shared
+
+
+def _source(name: str) -> str:
+    return (_SHADERS / name).read_text()
+
+
 class LinearProgram(pyrender.shader_program.ShaderProgram):
     """A program of pyrender's own that leaves radiance linear and unclamped.
+
+    Its shadows are those of a lamp that is no point, and its ambient light may have a direction.
 
     Raises
     ------
@@ -135,9 +159,16 @@ class LinearProgram(pyrender.shader_program.ShaderProgram):
         text: str = super()._load(shader_filename)
         if Path(shader_filename).name != "mesh.frag":
             return text
-        if _ENCODED not in text:
-            raise RenderError("this pyrender's mesh.frag is not that of 0.1.45; install 0.1.45")
-        return text.replace(_ENCODED, _LINEAR)
+        for theirs, ours in (
+            (_ENCODED, _LINEAR),
+            (_SHADOW, _source("soft_shadow.glsl") + _SHADOW + _SOFT_SHADOW),
+            (_AMBIENT, _SLOPING),
+            ("uniform vec3 ambient_light;", "uniform vec3 ambient_light, ambient_slope;"),
+        ):
+            if theirs not in text:
+                raise RenderError("this pyrender's mesh.frag is not that of 0.1.45; install 0.1.45")
+            text = text.replace(theirs, ours)
+        return text
 
 
 class LinearProgramCache(pyrender.shader_program.ShaderProgramCache):

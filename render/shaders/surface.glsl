@@ -9,6 +9,9 @@ struct DirectionalLight { vec3 color; float intensity; vec3 direction; };
 struct SpotLight {
     vec3 color; float intensity; vec3 position; vec3 direction;
     float light_angle_scale; float light_angle_offset;
+#ifdef SHADOWS
+    sampler2D shadow_map; mat4 light_matrix;
+#endif
 };
 
 // What is written: 0 radiance, 1 the point that was hit, 2 how much work it was.
@@ -48,6 +51,12 @@ uniform int n_spot_lights;
 uniform SpotLight spot_lights[MAX_LIGHTS];
 
 out vec4 frag_color;
+
+#ifdef SHADOWS
+uniform vec3 ambient_slope;      // relative change of ambient light along the world's axes
+float unshadowed(vec3 point, vec3 to_light);
+float soft_light(mat4 light_matrix, sampler2D shadow_map, vec3 place, vec3 normal);
+#endif
 
 vec2 texture_coordinate(vec2 xy) {
     return vec2((xy.x - grid_corner.x) / grid_size.x, (grid_corner.y - xy.y) / grid_size.y);
@@ -93,6 +102,10 @@ vec3 lit_from(vec3 place, vec3 intensity, vec3 point, Paint paint, vec3 v, mat3 
     vec3 to_light = to_canvas(place) - point;
     float r2 = dot(to_light, to_light);
     vec3 l = to_local * (to_light * inversesqrt(r2));
+#ifdef SHADOWS
+    if (l.z <= 0.0 || intensity == vec3(0.0)) return vec3(0.0);
+    intensity *= unshadowed(point, to_light);
+#endif
     return reflectance(paint, v, l) * intensity * max(l.z, 0.0) / r2;
 }
 
@@ -112,6 +125,9 @@ vec3 shade(vec3 point, vec2 uv, vec4 relief, float level) {
     vec3 v = to_local * normalize(to_canvas(cam_pos) - point);
     Paint paint = paint_at(uv, level);
     vec3 radiance = PI * paint.diffuse * ambient_light;
+#ifdef SHADOWS
+    radiance *= 1.0 + dot(mat3(M) * n, ambient_slope);
+#endif
     for (int i = 0; i < n_point_lights; ++i) {
         vec3 intensity = point_lights[i].color * point_lights[i].intensity;
         radiance += lit_from(point_lights[i].position, intensity, point, paint, v, to_local);
@@ -119,12 +135,24 @@ vec3 shade(vec3 point, vec2 uv, vec4 relief, float level) {
     for (int i = 0; i < n_spot_lights; ++i) {
         vec3 intensity = spot_lights[i].color * spot_lights[i].intensity;
         intensity *= cone(spot_lights[i], point);
+#ifdef SHADOWS
+        if (intensity != vec3(0.0)) {
+            vec3 place = (M * vec4(point, 1.0)).xyz;
+            intensity *= soft_light(
+                spot_lights[i].light_matrix, spot_lights[i].shadow_map, place, M[2].xyz
+            );
+        }
+#endif
         radiance += lit_from(spot_lights[i].position, intensity, point, paint, v, to_local);
     }
     for (int i = 0; i < n_directional_lights; ++i) {
         vec3 l = to_local * direction_to_canvas(-directional_lights[i].direction);
         vec3 irradiance =
             directional_lights[i].color * directional_lights[i].intensity * max(l.z, 0.0);
+#ifdef SHADOWS
+        vec3 far = -1e6 * direction_to_canvas(directional_lights[i].direction);
+        if (l.z > 0.0) irradiance *= unshadowed(point, far);
+#endif
         radiance += reflectance(paint, v, l) * irradiance;
     }
     return radiance;

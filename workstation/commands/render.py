@@ -53,6 +53,9 @@ def render(
     budget: Annotated[
         float, typer.Option(help="Parallax that bounded may leave, in pixels.")
     ] = 0.25,
+    shadows: Annotated[
+        bool, typer.Option("--shadows", help="Let the relief cast shadows on itself.")
+    ] = False,
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write figures here.")] = None,
 ) -> None:
     """Render a digital copy.
@@ -101,6 +104,7 @@ def render(
                 light=lamp,
                 adaptive=adaptive,
                 budget_px=budget,
+                shadows=shadows,
             )
             seconds = round(time.perf_counter() - started, 4)
             covered = float(picture.coverage.mean())

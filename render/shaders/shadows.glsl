@@ -1,0 +1,30 @@
+// Shadows that a painting's relief casts on itself: the search for triangles, towards the light.
+
+// Whether nothing of the painting lies between a point of its surface and a light; canvas frame.
+float unshadowed(vec3 point, vec3 to_light) {
+    vec2 sides = vec2(pyramid_cells);
+    vec2 place = clamp(texture_coordinate(point.xy) * (sides + 1.0) - 0.5, vec2(0.0), sides);
+    ivec2 cell = min(ivec2(place), pyramid_cells - 1);
+    // From above the triangle, because what is shown may lie a little under it, by as much as the
+    // other diagonal of the cell would change: facets are no relief, and cast no shadow.
+    vec4 corners = corners_of(cell);
+    bvec4 missing = lessThan(corners, vec4(0.5 * UNMEASURED));
+    vec3 triangle;
+    vec3 from = vec3(place, point.z + 1e-3 * texel);
+    if (triangle_at(corners, missing, place - vec2(cell), triangle)) {
+        float twist = any(missing) ? 0.0 : 0.5 * abs(corners.x - corners.y - corners.z + corners.w);
+        float surface = triangle.x + dot(triangle.yz, place - vec2(cell));
+        from.z = max(point.z, surface + twist) + 1e-3 * texel;
+    }
+    vec3 along = to_light * vec3(1.0, -1.0, texel) / texel;
+    // To the light, or to where the ray leaves the box around the surface.
+    vec3 border = mix(vec3(0.0), vec3(sides, 0.0), greaterThan(along, vec3(0.0)));
+    border.z = along.z > 0.0 ? height_range.y : height_range.x;
+    float leave = 1.0;
+    for (int axis = 0; axis < 3; ++axis) {
+        if (along[axis] != 0.0) leave = min(leave, (border[axis] - from[axis]) / along[axis]);
+    }
+    if (leave <= 0.0) return 1.0;
+    int steps;
+    return first_hit(Ray(dvec3(from), from, along, leave), steps, cell, triangle) < 0.0 ? 1.0 : 0.0;
+}
