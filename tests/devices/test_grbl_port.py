@@ -222,8 +222,8 @@ def test_an_interrupted_capture_leaves_the_arm_still_and_dark():
         [sys.executable, str(script)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as children:
         try:
-            for batch in range(10):
-                captures = [Interrupted(5 * batch + k, draw.uniform(0, 1.8)) for k in range(5)]
+            for batch in range(5):
+                captures = [Interrupted(10 * batch + k, draw.uniform(0, 1.8)) for k in range(10)]
                 print(*[one.port.address for one in captures], file=children.stdin, flush=True)
                 processes = [int(children.stdout.readline()) for _ in captures]
                 senders = [
