@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
+from impasto_command import IMPASTO, impasto
 
 from devices.search import SEARCHED
 from devices.simulated.grbl_controller import SimulatedGrblController
@@ -18,14 +19,8 @@ from devices.simulated.grbl_port import SimulatedGrblPort
 from workstation.commands.devices import _print_table
 from workstation.confirmation import confirm_at_desk
 
-IMPASTO = Path(sys.executable).parent / "impasto"
 RIGS = Path(__file__).parents[2] / "fixtures" / "rigs"
 SMALL = '[simulation]\npainting = "white"\ncamera_width = 48\n'
-
-
-def impasto(*arguments: object) -> subprocess.CompletedProcess[str]:
-    words = [str(IMPASTO), *map(str, arguments)]
-    return subprocess.run(words, capture_output=True, text=True, timeout=120)
 
 
 def test_help_shows_an_example():
@@ -52,7 +47,8 @@ def test_a_missing_package_is_information_and_no_error(tmp_path, monkeypatch):
     for name in ("gphoto2", "serial"):
         (tmp_path / f"{name}.py").write_text("raise ImportError('not here')")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    done = impasto("devices", "--json", tmp_path / "f.json")
+    words = [str(IMPASTO), "devices", "--json", str(tmp_path / "f.json")]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     figures = {e["driver"]: e for e in json.loads((tmp_path / "f.json").read_text())}
     for driver, package in (("gphoto2", "gphoto2"), ("grbl", "pyserial")):

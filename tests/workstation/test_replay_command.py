@@ -1,12 +1,10 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from impasto_command import impasto
 
 from acquisition.patterns import Axis
 from acquisition.plan import Crop, Imager, Plan
@@ -20,13 +18,7 @@ from devices.rig import Rig
 from devices.simulated.rig import demo_rig
 from workstation.demonstration import record_simulated_scan
 
-IMPASTO = Path(sys.executable).parent / "impasto"
 TOML = '[camera]\ndriver = "simulated"\r\n# with a line end of another system\n'
-
-
-def impasto(*arguments: object) -> subprocess.CompletedProcess[str]:
-    words = [str(IMPASTO), *map(str, arguments)]
-    return subprocess.run(words, capture_output=True, text=True, timeout=120)
 
 
 @pytest.fixture(scope="module")
