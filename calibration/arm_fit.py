@@ -24,6 +24,9 @@ _ROUNDS = 30
 _CONTRADICT = "its highlights or the target's radiance contradict one another"
 _STEP = 1e-6
 _PIXEL_STEP = 0.01
+_LEAST_GAIN = 1e-6
+# Those of an arm's numbers that are the lamp's: aim, intensity and exponent.
+_LAMP = slice(10, 17)
 # Chance below which a misfit is not taken for noise.
 _CHANCE = 1e-4
 
@@ -61,6 +64,9 @@ class TargetShading:
     sigma : (poses, n, 3) float64 array
     albedo : float
         Of the target, which is matt.
+    gains_unknown : bool
+        Whether each point's radiance is known up to a factor only, the same under all poses and 1
+        on average: a camera's vignetting, an uneven target.
     """
 
     points: NDArray[np.float64]
@@ -68,6 +74,12 @@ class TargetShading:
     radiance: NDArray[np.float64]
     sigma: NDArray[np.float64]
     albedo: float = 1.0
+    gains_unknown: bool = False
+
+    @property
+    def is_monochrome(self) -> bool:
+        """Whether the three channels are one, their variances tripled."""
+        return np.array_equal(self.radiance[..., 0], self.radiance[..., 1], equal_nan=True)
 
 
 @dataclass(frozen=True)
@@ -85,7 +97,9 @@ class ArmProblem:
     left_out : (poses, spheres) bool array or None
         Highlights that are not used.
     excess : float
-        By which the variances of the target's radiance are scaled.
+        By which the variances of the target's radiance are scaled; infinite leaves it out.
+    lamp_only : bool
+        Whether the arm is held where it is.
     """
 
     poses: tuple[ArmPose, ...]
@@ -95,6 +109,7 @@ class ArmProblem:
     start: ArmParameters | None = None
     left_out: NDArray[np.bool_] | None = None
     excess: float = 1.0
+    lamp_only: bool = False
 
     @property
     def spots(self) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
@@ -105,9 +120,17 @@ class ArmProblem:
         """The same, with numbers that count from an arm."""
         return replace(self, start=start)
 
-    def reweighted(self, left_out: NDArray[np.bool_], excess: float) -> ArmProblem:
-        """Without some highlights (poses, spheres), and variances of the target scaled."""
-        return replace(self, left_out=left_out, excess=excess)
+    def of_highlights(self, left_out: NDArray[np.bool_] | None = None) -> ArmProblem:
+        """By the highlights alone, without some (poses, spheres)."""
+        return replace(self, left_out=left_out, excess=np.inf)
+
+    def of_lamp(self) -> ArmProblem:
+        """The lamp alone, by the target; the arm stays where it is."""
+        return replace(self, excess=1.0, lamp_only=True)
+
+    def of_all(self, excess: float) -> ArmProblem:
+        """Everything, with the variances of the target scaled."""
+        return replace(self, excess=excess, lamp_only=False)
 
     def misses(
         self, numbers: NDArray[np.float64], *, rejected: bool = False
@@ -160,25 +183,106 @@ class ArmProblem:
         lever = np.stack(across, axis=2) / _PIXEL_STEP * one.sigma_px
         return rays, np.linalg.pinv(np.nan_to_num(lever))
 
+    def target_gains(self, arm: ArmParameters) -> NDArray[np.float64]:
+        """Factors (points,) of the target's points that suit an arm best, 1 on average."""
+        shading = self.shading
+        predicted = self._predicted_radiance(arm)
+        weight = np.where(np.isfinite(shading.radiance), 1 / shading.sigma**2, 0.0)
+        seen = np.where(weight > 0, shading.radiance, 0.0)
+        products = np.sum(weight * predicted * seen, axis=(0, 2))
+        squares = np.sum(weight * predicted**2, axis=(0, 2))
+        known = squares > 0
+        if not known.any():
+            return np.ones(len(shading.points))
+        gains = np.where(known, products / np.where(known, squares, 1), 1.0)
+        return np.asarray(gains / np.maximum(gains[known].mean(), _LEAST_GAIN))
+
     def shading_residuals(self, arm: ArmParameters) -> NDArray[np.float64]:
         """(poses, points, 3) over their standard errors; NaN where not known."""
+        shading = self.shading
+        predicted = self._predicted_radiance(arm)
+        if shading.gains_unknown:
+            predicted = predicted * self.target_gains(arm)[:, np.newaxis]
+        return np.asarray((predicted - shading.radiance) / (shading.sigma * np.sqrt(self.excess)))
+
+    def _predicted_radiance(self, arm: ArmParameters) -> NDArray[np.float64]:
         shading = self.shading
         places = arm.positions(self.poses)[:, np.newaxis]
         axes = arm.axes(self.poses)[:, np.newaxis]
         towards = places - shading.points
         cosine = np.maximum(towards @ shading.normal, 0) / np.linalg.norm(towards, axis=-1)
         light = fall_off(places, axes, arm.exponent, shading.points) * cosine
-        predicted = light[..., np.newaxis] * arm.intensity * (shading.albedo / np.pi)
-        return np.asarray((predicted - shading.radiance) / (shading.sigma * np.sqrt(self.excess)))
+        return np.asarray(light[..., np.newaxis] * arm.intensity * (shading.albedo / np.pi))
 
     def shading_excess(self, numbers: NDArray[np.float64]) -> float:
-        """Mean square of the target's residuals; 1 if it may be chance."""
+        """By how much the target is off beyond what noise explains, mean square; 1 if by chance.
+
+        Asked of an arm whose place was fitted to the highlights alone, and then its lamp to the
+        target. A target that is not matt is off by something smooth, which neighbouring points
+        share; so what is off in level, slope and bend at each pose is held against noise too, and
+        the larger ratio counts.
+        """
         from scipy.stats import chi2
 
-        residuals = self.shading_residuals(self.split(numbers)[0])
-        known = residuals[np.isfinite(residuals)]
-        total = float(np.sum(known**2)) * self.excess
-        return total / len(known) if chi2.sf(total, len(known)) < _CHANCE else 1.0
+        residuals, by_number = self._shading_alone(numbers)
+        known = np.isfinite(residuals)
+        poses = int(known.any(axis=(1, 2)).sum())
+        free = 1 if self.shading.gains_unknown else 0
+        alike = 1 / 3 if self.shading.is_monochrome else 1.0
+        # What the lamp's numbers take up is no misfit; what the highlights leave uncertain is none.
+        taken, _ = np.linalg.qr(by_number[_LAMP][:, known].T)
+        flat = by_number[:, known].T
+        left = np.zeros_like(by_number)
+        left[:, known] = (flat - taken @ (taken.T @ flat)).T
+        placed = replace(self, excess=np.inf, lamp_only=False).jacobian(numbers)
+        spread, axes = np.linalg.eigh(np.linalg.pinv(placed.T @ placed, hermitian=True))
+        root = axes * np.sqrt(np.maximum(spread, 0))
+        fitted = np.zeros((taken.shape[1], *known.shape))
+        fitted[:, known] = taken.T
+        smooth = np.stack([self._smooth_parts(np.where(known, one, np.nan)) for one in left], 1)
+        of_lamp = np.stack([self._smooth_parts(np.where(known, one, np.nan)) for one in fitted], 1)
+        count = alike * (known.sum() - 3 * free * len(self.shading.points)) - taken.shape[1]
+        smooth_count = len(smooth) * (1 - free / max(poses, 1)) - float(np.sum(of_lamp**2))
+        single = _consistency(residuals[known], left[:, known].T @ root)
+        together = self._smooth_parts(residuals)
+        shared = _consistency(together, smooth @ root)
+        ratios = [1.0]
+        if chi2.sf(single, max(count, 1.0)) < _CHANCE:
+            ratios.append(single / max(count, 1.0))
+        if chi2.sf(shared, max(smooth_count, 1.0)) < _CHANCE:
+            # It would move the arm for something else: the highlights are to be believed.
+            ratios.append(float(together @ together) / max(smooth_count, 1.0))
+        return max(ratios)
+
+    def _shading_alone(
+        self, numbers: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Residuals of the target with the variances given, and their derivatives by each number.
+
+        The derivatives are zero where nothing is known.
+        """
+        given = replace(self, excess=1.0)
+
+        def at(where: NDArray[np.float64]) -> NDArray[np.float64]:
+            return given.shading_residuals(given.split(where)[0])
+
+        steps = np.diag(_STEP * np.maximum(1.0, np.abs(numbers)))
+        slopes = [(at(numbers + step) - at(numbers - step)) / (2 * step.sum()) for step in steps]
+        return at(numbers), np.nan_to_num(np.array(slopes))
+
+    def _smooth_parts(self, residuals: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Level, slope and bend of residuals (poses, points, 3) over the target, unit variances."""
+        points = self.shading.points - self.shading.points.mean(axis=0)
+        _, size, axes = np.linalg.svd(points, full_matrices=False)
+        u, v = (points @ axes[:2].T / (size[:2] / np.sqrt(len(points)))).T
+        terms = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=1)
+        parts = []
+        for one in residuals:
+            seen = np.isfinite(one).all(axis=1)
+            if seen.sum() >= len(terms.T):
+                basis, _ = np.linalg.qr(terms[seen])
+                parts.append(basis.T @ one[seen].sum(axis=1) / np.sqrt(3))
+        return np.concatenate(parts) if parts else np.zeros(0)
 
     def residuals(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
         """All of them, the spheres' outlines and what is known of any arm among them."""
@@ -199,7 +303,10 @@ class ArmProblem:
             step[number] = _STEP * max(1.0, abs(value))
             ends = self.residuals(numbers + step) - self.residuals(numbers - step)
             columns.append(ends / (2 * step[number]))
-        return np.stack(columns, axis=1)
+        jacobian = np.stack(columns, axis=1)
+        if self.lamp_only:
+            jacobian[:, np.delete(np.arange(len(numbers)), _LAMP)] = 0.0
+        return jacobian
 
     def minimise(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
         """Least sum of squares from a start, by NLopt."""
@@ -262,3 +369,10 @@ class ArmProblem:
         count = len(self.start.as_array())
         arm = self.start.moved(numbers[:count] - self.start.as_array())
         return arm, numbers[count:].reshape(-1, 3)
+
+
+def _consistency(residuals: NDArray[np.float64], lever: NDArray[np.float64]) -> float:
+    """Sum of squares of residuals (n,), some of it taken up by numbers of unit variance."""
+    pull = lever.T @ residuals
+    taken = np.linalg.solve(np.eye(len(pull)) + lever.T @ lever, pull)
+    return float(residuals @ residuals - pull @ taken)

@@ -21,10 +21,8 @@ from scipy.spatial import cKDTree
 
 from acquisition.correspondence import CorrespondenceMap
 from calibration.code_blocks import CodeBlocks, find_blocks
-from calibration.errors import CalibrationError
-from calibration.lens import invert, rotation, transform
 from calibration.rig_geometry import RigGeometry
-from calibration.triangulation import depth_along_rays
+from calibration.triangulation import depth_along_rays, usual_depth
 
 _STEP_PX = 0.01
 
@@ -91,7 +89,7 @@ def pair_by_code(
     seen, known = seen.chosen(here), known.chosen(here)
     pixels, coordinates = known.pixels + offset[here], seen.coordinates
     inverse, variance = np.linalg.inv(slopes[here]), variance[here]
-    start = _usual_depth(rig, pixels, coordinates)
+    start = usual_depth(rig, pixels, coordinates)
 
     def point(at: NDArray[np.float64], code: NDArray[np.float64]) -> NDArray[np.float64]:
         slopes = rig.camera.unproject(at)[..., :2]
@@ -121,22 +119,3 @@ def _nearest(seen: CodeBlocks, known: CodeBlocks) -> tuple[NDArray[np.intp], NDA
 
 def _spread(lever: NDArray[np.float64], variance: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray((lever * variance[:, np.newaxis]) @ np.swapaxes(lever, 1, 2))
-
-
-def _usual_depth(
-    rig: RigGeometry, pixels: NDArray[np.float64], coordinates: NDArray[np.float64]
-) -> float:
-    """Median depth at which the rays of camera and projector pass one another, mm."""
-    seen = rig.camera.unproject(pixels)
-    lit = rig.projector.unproject(coordinates) @ rotation(rig.rt_proj_cam)
-    baseline = transform(invert(rig.rt_proj_cam), np.zeros(3))
-    # The common perpendicular of both rays.
-    across = np.cross(seen, lit)
-    depth = np.sum(np.cross(baseline, lit) * across, axis=1) / np.sum(across**2, axis=1)
-    depth = depth[np.isfinite(depth)]
-    if not len(depth) or not np.median(depth) > 0:
-        raise CalibrationError(
-            "rays of the scan's camera and projector do not meet before them: the rig's "
-            "calibration does not belong to this scan"
-        )
-    return float(np.median(depth))

@@ -54,6 +54,29 @@ class FlatField:
     fixed_pattern_sigma: float
     excess: float
 
+    @classmethod
+    def of_vignetting(
+        cls,
+        centre: NDArray[np.float64],
+        coefficients: NDArray[np.float64],
+        covariance: NDArray[np.float64],
+        *,
+        width: int,
+        height: int,
+    ) -> FlatField:
+        """A smooth fall-off about a known centre, without the pixels' own pattern."""
+        return cls(
+            np.array(centre, np.float64),
+            np.zeros(2),
+            coefficients,
+            covariance,
+            width,
+            height,
+            0.0,
+            0.0,
+            1.0,
+        )
+
     def gain(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
         """Answer (...) at pixels (..., 2), 1 at the centre."""
         return 1 + _powers(pixels, self.centre, self.width, self.height) @ self.coefficients
@@ -62,6 +85,22 @@ class FlatField:
         """Its standard error (...)."""
         terms = _powers(pixels, self.centre, self.width, self.height)
         return np.sqrt(np.einsum("...i,ij,...j->...", terms, self.covariance, terms))
+
+    def gain_picture(
+        self, *, origin: tuple[int, int] = (0, 0), shape: tuple[int, int]
+    ) -> NDArray[np.float32]:
+        """Answer (rows, cols) of a part of the picture.
+
+        Parameters
+        ----------
+        origin : (int, int)
+            Column and row of its first pixel.
+        shape : (int, int)
+            Its rows and columns.
+        """
+        row, col = (np.arange(n, dtype=np.float64) for n in shape)
+        grid = np.stack(np.meshgrid(col + origin[0], row + origin[1]), axis=-1)
+        return self.gain(grid).astype(np.float32)
 
     def corrected(self, picture: NDArray[np.float64]) -> NDArray[np.float64]:
         """A picture (rows, cols[, channels]), black subtracted, without the fall-off."""
@@ -201,3 +240,46 @@ def _with_pattern(field: FlatField, stack: NDArray[np.float64], level: float) ->
     pattern = float(np.sqrt(max(variance, 0.0)))
     sigma = error / (2 * max(pattern, np.sqrt(error)))
     return replace(field, fixed_pattern=pattern, fixed_pattern_sigma=float(sigma))
+
+
+def vignetting_of(
+    pixels: NDArray[np.float64],
+    gains: NDArray[np.float64],
+    *,
+    centre: NDArray[np.float64],
+    width: int,
+    height: int,
+) -> FlatField:
+    r"""Vignetting about a known centre from gains at some pixels, known up to one factor.
+
+    Two terms of the polynomial are fitted: natural vignetting, :math:`\cos^4` of the angle from
+    the axis, needs no more up to 25°. The gains' scatter about it tells the errors.
+
+    Parameters
+    ----------
+    pixels : (n, 2) array
+        Columns and rows.
+    gains : (n,) array
+        Positive.
+    centre : (2,) array
+        The lens's principal point.
+    width, height : int
+        Of the picture.
+
+    Raises
+    ------
+    CalibrationError
+        Too few gains, or such as are not positive.
+    """
+    gains = np.asarray(gains, np.float64)
+    if len(gains) < 2 * _TERMS or not (np.isfinite(gains).all() and (gains > 0).all()):
+        raise CalibrationError(f"{len(gains)} positive, finite gains tell no vignetting")
+    terms = _powers(pixels, np.asarray(centre, np.float64), width, height)[:, :2]
+    design = np.column_stack([np.ones(len(gains)), terms])
+    found, *_ = np.linalg.lstsq(design, gains, rcond=None)
+    variance = float(np.sum((gains - design @ found) ** 2)) / (len(gains) - 3)
+    covariance = np.zeros((_TERMS, _TERMS))
+    covariance[:2, :2] = variance * np.linalg.inv(design.T @ design)[1:, 1:] / found[0] ** 2
+    return FlatField.of_vignetting(
+        centre, np.append(found[1:] / found[0], 0.0), covariance, width=width, height=height
+    )

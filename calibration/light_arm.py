@@ -33,9 +33,13 @@ from devices.interfaces import ArmPose
 __all__ = ["LightArm", "SphereHighlights", "TargetShading", "fit_light_arm"]
 
 _LEAST_POSES = 6
+# Of the lamp's directions across the ring's axis, RMS along the narrower side.
+_LEAST_SPREAD = 0.05
 # Chance below which a misfit is not taken for noise.
 _CHANCE = 1e-4
 _OUTLIER_SIGMAS = 6.0
+# Of a lamp's fall-off, to start from: at 0 a fit in its root would not know where to go.
+_EXPONENTS = (0.5, 100.0)
 # Standard error of a light's direction beyond which a calibration is of no use.
 _LARGEST_SIGMA_DEG = 0.5
 
@@ -61,6 +65,8 @@ class LightArm:
     shading_excess : float
         Likewise of the target's radiance: above 1, the lamp's anisotropy is another one, or the
         target is not matt.
+    target_gains : (points,) float64 array or None
+        Factors of the target's points, where they were not known.
     """
 
     parameters: ArmParameters
@@ -70,6 +76,7 @@ class LightArm:
     suspect: tuple[int, ...]
     inflation: float
     shading_excess: float
+    target_gains: NDArray[np.float64] | None = None
 
     def lamp(self, pose: ArmPose) -> Lamp:
         """The lamp at a pose."""
@@ -133,16 +140,24 @@ def fit_light_arm(
         target=shading.points.mean(axis=0),
     )
     numbers = np.concatenate([start.as_array(), np.zeros(3 * len(highlights))])
-    base = problem.around(start)
+    # First the highlights tell where the lamp is, and then the target what it sends.
+    base = problem.around(start).of_highlights()
     numbers = base.minimise(numbers)
     misses = base.misses(numbers)
     wild = np.sqrt(np.nansum(misses**2, axis=2)) > _OUTLIER_SIGMAS * max(
         1.0, float(np.nanmedian(np.abs(misses))) / 0.6745
     )
-    excess = base.shading_excess(numbers)
-    if wild.any() or excess > 1:
-        base = base.reweighted(wild, excess)
+    if wild.any():
+        base = base.of_highlights(wild)
         numbers = base.minimise(numbers)
+    lamp = base.of_lamp()
+    placed, _ = lamp.split(numbers)
+    numbers[: len(placed.as_array())] += _lamp_step(placed, problem.poses, shading)
+    numbers = lamp.minimise(numbers)
+    # A target that agrees with the highlights tells of the place too.
+    excess = lamp.shading_excess(numbers)
+    base = lamp.of_all(excess)
+    numbers = base.minimise(numbers)
     return _result(base, numbers, misses=base.misses(numbers, rejected=True), excess=excess)
 
 
@@ -156,6 +171,13 @@ def _check(
     if len(poses) < _LEAST_POSES:
         raise CalibrationError(
             f"{len(poses)} poses of the light arm: {_LEAST_POSES} or more are needed"
+        )
+    azimuth, elevation = np.array([[pose.azimuth, pose.elevation] for pose in poses]).T
+    across = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1) * np.cos(elevation)[:, np.newaxis]
+    spread = np.linalg.svd(across - across.mean(axis=0), compute_uv=False)
+    if spread[1] < _LEAST_SPREAD * np.sqrt(len(poses)):
+        raise CalibrationError(
+            "the poses of the light arm are too alike: spread them over azimuth and elevation"
         )
     for number, one in enumerate(highlights, start=1):
         seen = np.isfinite(one.pixels)
@@ -187,28 +209,33 @@ def _usual_level(shading: TargetShading) -> NDArray[np.float64]:
     return np.asarray(level)
 
 
-def _with_lamp_of(
-    shading: TargetShading, arm: ArmParameters, poses: Sequence[ArmPose]
-) -> ArmParameters:
-    """The arm, its lamp that which explains the target best: linear in logarithms."""
+def _lamp_step(
+    arm: ArmParameters, poses: Sequence[ArmPose], shading: TargetShading
+) -> NDArray[np.float64]:
+    """Step of an arm's numbers to the lamp that explains the target best: linear in logarithms."""
+    numbers = arm.as_array()
     places, axes = arm.positions(poses)[:, np.newaxis], arm.axes(poses)[:, np.newaxis]
     towards = places - shading.points
     distance = np.linalg.norm(towards, axis=-1)
     facing = towards @ shading.normal / distance
     from_axis = -np.sum(towards * axes, axis=-1) / distance
-    lit = (facing > 0.05) & (from_axis > 0.05)
-    shared = np.where(lit, distance**2 / np.where(lit, facing, 1), np.nan)
-    light = shading.radiance * shared[..., np.newaxis] * np.pi / shading.albedo
-    use = np.isfinite(light) & (light > 0)
-    if not use.any(axis=(0, 1)).all():
-        return arm
-    value = np.log(np.where(use, light, 1.0))
-    slope = np.log(np.where(lit, from_axis, 1.0))[..., np.newaxis] * np.ones(3)
+    lit = ((facing > 0.05) & (from_axis > 0.05))[..., np.newaxis]
+    share = np.where(lit[..., 0], distance**2 / np.where(lit[..., 0], facing, 1), 1.0)
+    light = shading.radiance * share[..., np.newaxis] * np.pi / shading.albedo
+    use = lit & np.isfinite(light) & (light > 0)
     count = use.sum(axis=(0, 1))
-    means = [np.where(use, a, 0).sum(axis=(0, 1)) / count for a in (value, slope)]
-    off = [np.where(use, a - mean, 0) for a, mean in zip((value, slope), means, strict=True)]
-    exponent = float(np.clip(np.sum(off[0] * off[1]) / max(np.sum(off[1] ** 2), 1e-12), 0.1, 100))
-    return replace(arm, exponent=exponent, intensity=np.exp(means[0] - exponent * means[1]))
+    if not count.all():
+        return np.zeros_like(numbers)
+    value = np.where(use, np.log(np.where(use, light, 1.0)), 0.0)
+    slope = np.where(use, np.log(np.where(lit[..., 0], from_axis, 1.0))[..., np.newaxis], 0.0)
+    # With gains that are not known, a point is compared with itself under other poses.
+    over = 0 if shading.gains_unknown else (0, 1)
+    seen = np.maximum(use.sum(axis=over, keepdims=True), 1)
+    off = [np.where(use, a - a.sum(axis=over, keepdims=True) / seen, 0) for a in (value, slope)]
+    exponent = np.sum(off[0] * off[1]) / max(float(np.sum(off[1] ** 2)), 1e-12)
+    exponent = float(np.clip(exponent, *_EXPONENTS))
+    level = (value.sum(axis=(0, 1)) - exponent * slope.sum(axis=(0, 1))) / count
+    return replace(arm, exponent=exponent, intensity=np.exp(level)).as_array() - numbers
 
 
 def _result(
@@ -247,6 +274,7 @@ def _result(
         tuple(int(n) for n in suspect),
         inflation,
         excess,
+        problem.target_gains(arm) if problem.shading.gains_unknown else None,
     )
     middle = problem.shading.points.mean(axis=0)
     worst = max(fitted.direction_sigma_deg(pose, middle) for pose in problem.poses)

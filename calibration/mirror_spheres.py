@@ -24,6 +24,10 @@ _OUTLIER = 4.0
 _MAD = 1.4826
 _ROUNDS = 5
 _STEP_PX = 0.01
+# Of a highlight's height, where it ends.
+_SPOT_LEVEL = 0.2
+# Standard error of its middle times the root of its pixels.
+_SPOT_SIGMA = 0.2
 
 
 @dataclass(frozen=True)
@@ -214,7 +218,7 @@ def find_highlight(
     floor = float(np.median(image[disc]))
     noise = _MAD * float(np.median(np.abs(image[disc] - floor)))
     top = min(float(image[disc].max()), saturation)
-    level = floor + 0.5 * (top - floor)
+    level = floor + _SPOT_LEVEL * (top - floor)
     if top - floor < 12 * max(noise, 1e-12):
         raise CalibrationError("no highlight stands out on the sphere: is the lamp lit?")
     spots, count = label(disc & (image >= level))
@@ -224,13 +228,14 @@ def find_highlight(
         raise CalibrationError(
             f"{count} highlights on the sphere: cover every other light and what reflects it"
         )
-    weight = np.where(spots == largest, np.minimum(image, saturation) - floor, 0.0)
+    # Weights that vanish at the spot's edge: pixels there do not matter whole or not at all.
+    weight = np.where(spots == largest, np.minimum(image, saturation) - level, 0.0)
     middle = center_of_mass(weight)
     pixel = np.array([middle[1], middle[0]])
     if np.hypot(*(pixel - [column, row])) > 0.93 * radius:
         raise CalibrationError("the highlight is at the edge of the sphere, where it is distorted")
-    # A spot of k pixels is cut off at its level to about a sixth of a pixel along its edge.
-    return pixel, float(max(0.03, 0.3 / np.sqrt(sizes.max())))
+    # Single pixels sample a spot of k pixels; see the test that holds this to spots of many places.
+    return pixel, float(max(0.03, _SPOT_SIGMA / np.sqrt(sizes.max())))
 
 
 def highlight_direction_sigma(

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from acquisition.correspondence import CorrespondenceMap
 from acquisition.patterns import Axis
-from calibration.lens import rotation
+from calibration.errors import CalibrationError
+from calibration.lens import invert, rotation, transform
 from calibration.rig_geometry import RigGeometry
 
 _ROUNDS = 8
@@ -63,10 +64,48 @@ def depth_along_rays(
     return depth, np.where(np.isfinite(depth), 1 / information, np.nan)
 
 
+def usual_depth(
+    rig: RigGeometry, pixels: NDArray[np.float64], coordinates: NDArray[np.float64]
+) -> float:
+    """Median depth at which the rays of camera and projector pass one another, mm.
+
+    Parameters
+    ----------
+    rig : RigGeometry
+    pixels, coordinates : (n, 2) arrays
+        Of the camera, and what it sees of the projector there.
+
+    Raises
+    ------
+    CalibrationError
+        The rays meet behind camera and projector, or nowhere.
+    """
+    seen = rig.camera.unproject(pixels)
+    lit = rig.projector.unproject(coordinates) @ rotation(rig.rt_proj_cam)
+    baseline = transform(invert(rig.rt_proj_cam), np.zeros(3))
+    # The common perpendicular of both rays.
+    across = np.cross(seen, lit)
+    depth = np.sum(np.cross(baseline, lit) * across, axis=1) / np.sum(across**2, axis=1)
+    depth = depth[np.isfinite(depth)]
+    if not len(depth) or not np.median(depth) > 0:
+        raise CalibrationError(
+            "rays of the scan's camera and projector do not meet before them: the rig's "
+            "calibration does not belong to this scan"
+        )
+    return float(np.median(depth))
+
+
 def reconstruct_points(
-    correspondence: CorrespondenceMap, rig: RigGeometry, *, start_mm: float
+    correspondence: CorrespondenceMap, rig: RigGeometry, *, start_mm: float | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Every decoded pixel as a point in the camera frame.
+
+    Parameters
+    ----------
+    correspondence : CorrespondenceMap
+    rig : RigGeometry
+    start_mm : float, optional
+        First guess of the depth; by default it is found, for which both axes are needed.
 
     Returns
     -------
@@ -84,6 +123,12 @@ def reconstruct_points(
     variance = np.stack(
         [np.full(count, np.inf) if a is None else a.variance[valid] for a in axes], axis=1
     )
+    if start_mm is None:
+        if any(axis is None for axis in axes):
+            raise CalibrationError("a usual depth is told by a code of both axes")
+        rows, cols = np.nonzero(valid)
+        pixels = np.stack([cols, rows], axis=1).astype(np.float64) + correspondence.origin
+        start_mm = usual_depth(rig, pixels, coordinates)
     depth, spread = depth_along_rays(rig, slopes[valid], coordinates, variance, start_mm=start_mm)
     points = np.full((*shape, 3), np.nan)
     points[valid, :2] = slopes[valid] * depth[:, np.newaxis]

@@ -156,9 +156,13 @@ class SimulatedScene:
         """Put the subject elsewhere: its pose (6,), Rodrigues and mm, in the scene frame."""
         self.replace_subject(self.subject.placed(rt_scene_subject))
 
-    def replace_subject(self, subject: PlacedSurface) -> None:
-        """Put another subject before the camera."""
+    def replace_subject(
+        self, subject: PlacedSurface, *, background: tuple[SceneObject, ...] | None = None
+    ) -> None:
+        """Put another subject before the camera, and other things about it if there are any."""
         self.subject = subject
+        if background is not None:
+            self.background = background
         self._views.clear()
         self._lamps.clear()
 

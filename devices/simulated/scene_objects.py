@@ -17,6 +17,8 @@ from devices.simulated.surface import Surface, SurfacePoints
 
 # A point is in the shadow of what rises above its line to the light by more than this.
 _SHADOW_MARGIN_MM = 1e-5
+# Roughness of polished metal: the least that the shading knows.
+_POLISH = 0.02
 
 
 class SceneObject(Protocol):
@@ -151,3 +153,52 @@ class Wall:
     def hides(self, points: NDArray[np.float64], light: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Everything is before it."""
         return np.zeros(len(points), np.bool_)
+
+
+class PolishedSphere:
+    """A ball of polished metal: a dark disc, but for a spot where it mirrors a lamp.
+
+    It mirrors nothing else, since no light of the scene goes from surface to surface.
+
+    Parameters
+    ----------
+    centre_mm : (3,) array
+        In the scene frame.
+    radius_mm : float
+    """
+
+    def __init__(self, centre_mm: NDArray[np.float64], radius_mm: float) -> None:
+        self.centre_mm = np.array(centre_mm, np.float64)
+        self.radius_mm = radius_mm
+        self._finish = np.array([0.9, 0.9, 0.9, _POLISH, 0.0, 1.0], np.float32)
+
+    def cast(
+        self, origin: NDArray[np.float64], directions: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Distance along each direction to the near side."""
+        near, under = self._meet(origin - self.centre_mm, directions)
+        reach = near - np.sqrt(np.where(under >= 0, under, np.nan))
+        return np.where(reach > 0, reach, np.nan)
+
+    def points_at(
+        self, points: NDArray[np.float64], footprints: NDArray[np.float32]
+    ) -> SurfacePoints:
+        """Alike everywhere, with normals from the centre."""
+        normals = ((points - self.centre_mm) / self.radius_mm).astype(np.float32)
+        return SurfacePoints(normals, np.tile(self._finish, (len(points), 1)))
+
+    def hides(self, points: NDArray[np.float64], light: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Whether the sphere stands between each point and a light."""
+        away = light - points
+        length = np.linalg.norm(away, axis=1)
+        near, under = self._meet(points - self.centre_mm, away / length[:, np.newaxis])
+        # From its own points that face the light, the way leads away from its middle.
+        return (under > 0) & (near > 0) & (near < length)
+
+    def _meet(
+        self, from_centre: NDArray[np.float64], directions: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Way to the middle of a ray's chord, and half the chord squared."""
+        near = -np.sum(from_centre * directions, axis=-1)
+        under = near**2 - np.sum(from_centre**2, axis=-1) + self.radius_mm**2
+        return near, under

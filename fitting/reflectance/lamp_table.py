@@ -11,9 +11,13 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from acquisition.atomic_files import write_bytes
 from calibration.errors import CalibrationError
+from calibration.flat_field import FlatField
 from calibration.lamp import Lamp
 from devices.interfaces import ArmPose
 from fitting.errors import FittingError
@@ -32,16 +36,22 @@ class LampTable:
     poses : tuple of ArmPose
     lamps : tuple of Lamp
         In the rig's frame, that of the scan's camera.
+    flat_field : FlatField or None
+        Vignetting of the camera by which the lamps' intensities were measured: it was divided out
+        there, and is to be divided out of what is compared with them.
     """
 
     poses: tuple[ArmPose, ...]
     lamps: tuple[Lamp, ...]
+    flat_field: FlatField | None = None
 
     @classmethod
-    def of(cls, arm: LampPoses, poses: Iterable[ArmPose]) -> LampTable:
+    def of(
+        cls, arm: LampPoses, poses: Iterable[ArmPose], *, flat_field: FlatField | None = None
+    ) -> LampTable:
         """The lamps of a calibrated arm at some poses."""
         chosen = tuple(poses)
-        return cls(chosen, tuple(arm.lamp(pose) for pose in chosen))
+        return cls(chosen, tuple(arm.lamp(pose) for pose in chosen), flat_field)
 
     def lamp(self, pose: ArmPose) -> Lamp:
         """The lamp at a pose.
@@ -74,7 +84,17 @@ class LampTable:
             }
             for pose, lamp in zip(self.poses, self.lamps, strict=True)
         ]
-        write_bytes(path, (json.dumps({"format": FORMAT, "lamps": rows}, indent=1) + "\n").encode())
+        content: dict[str, Any] = {"format": FORMAT, "lamps": rows}
+        field = self.flat_field
+        if field is not None:
+            content["vignetting"] = {
+                "centre": field.centre.tolist(),
+                "coefficients": field.coefficients.tolist(),
+                "covariance": field.covariance.tolist(),
+                "width": field.width,
+                "height": field.height,
+            }
+        write_bytes(Path(path), (json.dumps(content, indent=1) + "\n").encode())
 
     @classmethod
     def load(cls, path: Path) -> LampTable:
@@ -106,4 +126,22 @@ class LampTable:
                 raise FittingError(f"{path}, lamp {number}: {error}") from None
         if not poses:
             raise FittingError(f"{path}: the table holds no lamp")
-        return cls(tuple(poses), tuple(lamps))
+        try:
+            field = _vignetting(content.get("vignetting"))
+        except (KeyError, TypeError, ValueError) as error:
+            raise FittingError(f"{path}, vignetting: {error}") from None
+        return cls(tuple(poses), tuple(lamps), field)
+
+
+def _vignetting(given: dict[str, Any] | None) -> FlatField | None:
+    if given is None:
+        return None
+    arrays = [
+        np.asarray(given[name], np.float64) for name in ("centre", "coefficients", "covariance")
+    ]
+    if [a.shape for a in arrays] != [(2,), (3,), (3, 3)] or not all(
+        np.isfinite(a).all() for a in arrays
+    ):
+        raise ValueError("a centre, three coefficients and their covariance are finite numbers")
+    width, height = int(given["width"]), int(given["height"])
+    return FlatField.of_vignetting(*arrays, width=width, height=height)

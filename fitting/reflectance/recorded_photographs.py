@@ -1,7 +1,6 @@
 """Photographs of a session, merged, freed of other light, and ready to be back-projected.
 
-Each bracket is merged into radiance per second (:mod:`acquisition.hdr`), and what the frames
-without lamp hold, the room's light and the sensor's dark current, is subtracted. The merged
+Each bracket is merged into radiance per second (:mod:`acquisition.merged_photographs`). The merged
 photographs lie in scratch files that are mapped into memory, so that any number of them takes
 little of it.
 """
@@ -11,16 +10,19 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.hdr import RadianceImage, merge_bracket
-from acquisition.lamp_drift import measure_lamp_drift
-from acquisition.plan import PlannedFrame, Purpose
-from acquisition.sample_noise import SampleNoise, fit_sample_noise
+from acquisition.hdr import RadianceImage
+from acquisition.merged_photographs import (
+    PhotographMerger,
+    lamp_drift_by_place,
+    photograph_brackets,
+)
 from acquisition.session import Session
+from calibration.flat_field import FlatField
 from calibration.lamp import Lamp
 from calibration.lens import invert, rotation, transform
 from calibration.registration import RegisteredView
@@ -30,7 +32,6 @@ from fitting.errors import FittingError
 from fitting.reflectance.photographs import Photograph
 
 Singles = NDArray[np.float32]
-_NOISE_SAMPLES = 200_000
 
 
 class LampPoses(Protocol):
@@ -38,6 +39,15 @@ class LampPoses(Protocol):
 
     def lamp(self, pose: ArmPose) -> Lamp:
         """The lamp in the rig's frame, that of the scan's camera."""
+
+
+@runtime_checkable
+class MeasuredThroughLens(Protocol):
+    """Lamps whose intensities were measured by a camera, its vignetting divided out."""
+
+    @property
+    def flat_field(self) -> FlatField | None:
+        """The vignetting."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +59,8 @@ class PhotographOptions:
     mosaic : BayerPattern or None
         Order of the sensor's colours from the first pixel of the full frame; None if monochrome.
     flat_field : (rows, cols) float32 array or None
-        What the camera makes of even light, of the frames' size.
+        What the camera makes of even light, of the frames' size; by default what is known with the
+        lamps.
     follow_drift : bool
         Whether the lamp's drift, by its reference pose, is divided out.
     """
@@ -98,13 +109,18 @@ def read_photographs(
         A frame was altered.
     """
     options = options or PhotographOptions()
-    brackets = _brackets(session)
+    brackets = photograph_brackets(session)
     if not brackets:
         raise FittingError(f"{session.path} holds no photographs under the lamp")
-    drift = _drift(session) if options.follow_drift else {}
+    drift = lamp_drift_by_place(session) if options.follow_drift else {}
     canvas_of_rig = invert(rt_rig_canvas)
-    places: dict[str | None, _Place] = {}
+    places: dict[str | None, PhotographMerger] = {}
     crop = session.plan.crop
+    flat_field = options.flat_field
+    if flat_field is None and isinstance(lamps, MeasuredThroughLens) and lamps.flat_field:
+        flat_field = lamps.flat_field.gain_picture(
+            origin=(crop.column, crop.row), shape=(crop.height, crop.width)
+        )
     found = []
     for number, frames in enumerate(brackets):
         place, pose = frames[0].camera_position, frames[0].arm_pose
@@ -112,9 +128,9 @@ def read_photographs(
         if place not in views:
             raise FittingError(f"{session.path}: photographs from {place!r} are not registered")
         if place not in places:
-            places[place] = _Place.of(session, place)
+            places[place] = PhotographMerger.of(session, place)
         name = f"{place or 'photograph'}-{number:04d}"
-        merged = places[place].merged(session, frames)
+        merged = places[place].merge(frames)
         ratio = drift[place](session.recorded[frames[0].id].wall_time) if place in drift else 1.0
         radiance, variance = _in_scratch(merged, scratch / name, colour=options.mosaic is None)
         view = views[place]
@@ -129,7 +145,7 @@ def read_photographs(
                 mosaic=_shifted(options.mosaic, crop.row, crop.column),
                 first_pixel=(crop.column, crop.row),
                 exposure=ratio,
-                flat_field=options.flat_field,
+                flat_field=flat_field,
             )
         )
         advance(name)
@@ -144,109 +160,6 @@ def lamp_seen_from(rt_a_b: NDArray[np.float64], lamp: Lamp) -> Lamp:
         lamp.intensity,
         lamp.exponent,
     )
-
-
-@dataclass(frozen=True)
-class _Place:
-    """What all photographs from one place have in common."""
-
-    black_level: float
-    noise: SampleNoise
-    dark: RadianceImage | None
-
-    @classmethod
-    def of(cls, session: Session, place: str | None) -> _Place:
-        frames = [f for f in session.frames if f.camera_position == place]
-        dark = [f for f in frames if f.purpose is Purpose.DARK]
-        black, background = 0.0, None
-        shortest = min(dark, key=lambda f: session.exposure_s(f.id) or 0.0, default=None)
-        if shortest is not None:
-            black = float(np.median(session.read_frame(shortest.id)))
-        own = cls(black, _noise(session, frames, black), None)
-        if dark:
-            background = own._merge(session, dark)
-        return cls(black, own.noise, background)
-
-    def merged(self, session: Session, frames: list[PlannedFrame]) -> RadianceImage:
-        """Radiance of a bracket without what there is in the dark."""
-        image = self._merge(session, frames)
-        if self.dark is None:
-            return image
-        return RadianceImage(
-            image.radiance - self.dark.radiance, image.variance + self.dark.variance, image.samples
-        )
-
-    def _merge(self, session: Session, frames: list[PlannedFrame]) -> RadianceImage:
-        exposures = [session.exposure_s(frame.id) for frame in frames]
-        known = [exposure for exposure in exposures if exposure is not None]
-        if len(known) < len(exposures):
-            raise FittingError(f"{session.path}: photographs without an exposure time")
-        return merge_bracket(
-            [session.read_frame(frame.id) for frame in frames],
-            known,
-            noise=self.noise,
-            black_level=self.black_level,
-            saturation_level=session.plan.saturation_level,
-        )
-
-
-def _noise(session: Session, frames: list[PlannedFrame], black: float) -> SampleNoise:
-    """Photon transfer by the reference pose, which is taken again and again."""
-    first: dict[float | None, NDArray[np.float32]] = {}
-    levels, squares = [], []
-    for frame in frames:
-        if frame.purpose is not Purpose.REFERENCE_POSE:
-            continue
-        image = session.read_frame(frame.id)
-        usable = image < session.plan.saturation_level
-        signal = np.where(usable, image.astype(np.float32) - np.float32(black), np.nan)
-        if frame.exposure_s not in first:
-            first[frame.exposure_s] = signal
-            continue
-        other = first[frame.exposure_s]
-        both = np.isfinite(signal) & np.isfinite(other)
-        if not both.any():
-            continue
-        # The lamp may have drifted: what is compared are the pictures, not their brightness.
-        ratio = float(np.sum(signal[both]) / max(float(np.sum(other[both])), 1e-9))
-        level = 0.5 * (signal[both] + other[both])
-        levels.append(level)
-        squares.append((signal[both] - ratio * other[both]) ** 2 / (1.0 + ratio**2))
-    if not levels:
-        raise FittingError(
-            f"{session.path}: the noise of the photographs cannot be told, since the reference "
-            "pose was taken once at most; photograph it twice"
-        )
-    level, square = np.concatenate(levels), np.concatenate(squares)
-    step = max(1, level.size // _NOISE_SAMPLES)
-    return fit_sample_noise(
-        level[::step], square[::step], degrees_of_freedom=1, origin="repeated reference pose"
-    )
-
-
-def _brackets(session: Session) -> list[list[PlannedFrame]]:
-    """The frames of each photograph, in the order of the plan."""
-    found: dict[tuple[object, ...], list[PlannedFrame]] = {}
-    for frame in session.frames:
-        if frame.purpose is Purpose.PHOTOGRAPH and frame.lamp_on:
-            found.setdefault((frame.bracket, frame.light), []).append(frame)
-    return list(found.values())
-
-
-def _drift(session: Session) -> dict[str | None, Callable[[float], float]]:
-    """The lamp's brightness over that at its first reference, by place and time."""
-    moments: dict[str | None, list[tuple[float, float]]] = {}
-    for frame in session.frames:
-        if frame.purpose is Purpose.REFERENCE_POSE and frame.camera_position not in moments:
-            moments[frame.camera_position] = [(session.recorded[frame.id].wall_time, 1.0)]
-    for sample in measure_lamp_drift(session):
-        moments.setdefault(sample.camera_position, []).append((sample.wall_time, sample.ratio))
-
-    def follow(known: list[tuple[float, float]]) -> Callable[[float], float]:
-        times, ratios = np.array(sorted(known)).T
-        return lambda time: float(np.interp(time, times, ratios))
-
-    return {place: follow(known) for place, known in moments.items()}
 
 
 def _in_scratch(image: RadianceImage, path: Path, *, colour: bool) -> tuple[Singles, Singles]:
