@@ -19,6 +19,7 @@ from fitting.digital_copy import DigitalCopy
 from fitting.height_field import HeightField
 from render.errors import RenderError
 from render.exact import EXACT_SHADERS, exact_doubles
+from render.height_pyramid import Heading
 from render.opengl import GL
 from render.painting_maps import PaintingMaterial
 from render.painting_primitive import PaintingPrimitive
@@ -61,8 +62,10 @@ class ViewNeeds:
         Height of the plane.
     plane_error_mm : float
         By which heights may differ from it.
-    level : float
-        Of the maps that are searched.
+    level : int
+        Of the heights that are searched.
+    heading : Heading
+        Of all rays.
     rectangle : (float, float, float, float)
         Part of the plane on which the surface is seen: lowest X and Y, highest X and Y, mm.
     """
@@ -71,7 +74,8 @@ class ViewNeeds:
     triangles: bool
     plane_mm: float
     plane_error_mm: float
-    level: float
+    level: int
+    heading: Heading
     rectangle: tuple[float, float, float, float]
 
 
@@ -126,7 +130,8 @@ class SurfaceShape:
         above = z - self.high
         if above <= 0 or far > _FLATTEST * above:
             return ViewNeeds(
-                Search.EXACT, True, self.median, self.high - self.low, 0.0, self.corners
+                *(Search.EXACT, True, self.median, self.high - self.low, 0),
+                *(Heading.ANYWHERE, self.corners),
             )
         # Bounds over the canvas, each by itself: nearest place, flattest ray.
         nearest = math.hypot(near, above)
@@ -137,9 +142,13 @@ class SurfaceShape:
         error = max(self.high - middle, 1e-9)
         if error <= allowed:
             plane = min(max(self.median, self.high - allowed), self.low + allowed)
-            return ViewNeeds(Search.PLANE, False, plane, error, 0.0, self._texel_centres)
+            return ViewNeeds(
+                *(Search.PLANE, False, plane, error, 0, Heading.ANYWHERE, self._texel_centres)
+            )
         if self.sculpted:
-            return ViewNeeds(Search.EXACT, True, self.median, 2 * error, 0.0, self.corners)
+            return ViewNeeds(
+                *(Search.EXACT, True, self.median, 2 * error, 0, Heading.ANYWHERE, self.corners)
+            )
         plane = middle + (self.median - middle) * min(error / allowed - 1, 1.0)
         level = max(math.log2(pixel_angle * nearest / self.pitch_mm), 0.0)
         # What a coarser level smooths away must fall with the budget.
@@ -150,9 +159,22 @@ class SurfaceShape:
             pixel_angle * nearest < 0.7 * self.pitch_mm,
             plane,
             max(self.high - plane, plane - self.low),
-            max(level + 0.5 * math.log2(nearest / above) + coarser, 0.0),
+            max(round(level + 0.5 * math.log2(nearest / above) + coarser), 0),
+            self._heading(x, y),
             self._seen_on_plane(x, y, z, plane),
         )
+
+    def _heading(self, x: float, y: float) -> Heading:
+        """Half of the directions that all rays from over (x, y) to the canvas run in."""
+        x0, y0, x1, y1 = self.corners
+        beyond = {
+            Heading.UP: y0 - y,
+            Heading.DOWN: y - y1,
+            Heading.LEFT: x - x1,
+            Heading.RIGHT: x0 - x,
+        }
+        heading = max(beyond, key=lambda side: beyond[side])
+        return heading if beyond[heading] >= 0 else Heading.ANYWHERE
 
     @property
     def _texel_centres(self) -> tuple[float, float, float, float]:
@@ -220,12 +242,13 @@ class BoundedPrimitive(PaintingPrimitive):
             return
         self.shaders = _shaders(needs.search, triangles=needs.triangles)
         self._culled, self._doubles = GL.GL_BACK, {}
+        if needs.search is Search.GRAZING:
+            self.material.prepare_cones(needs.heading, needs.level)
         self._uniforms = {
             "plane_rectangle": needs.rectangle,
             "plane_height": needs.plane_mm,
             "top": self._shape.high,
             "most_steps": _most_steps(needs, self._budget_px),
-            "search_level": needs.level,
             "plane_error": needs.plane_error_mm,
             "budget": self._budget_px,
         }

@@ -7,6 +7,8 @@ the cells, every further level squares of twice their size. Cones: J. Dummer, Co
 
 from __future__ import annotations
 
+from enum import Enum
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +17,16 @@ from fitting.height_field import HeightField
 
 GAP = np.float32(-1e30)
 """Stands for no height; as ``GAP`` in the shaders."""
+
+
+class Heading(Enum):
+    """Where rays that come down run over the canvas: rows and columns, -1, 0 or 1 each."""
+
+    ANYWHERE = (0, 0)
+    UP = (-1, 0)
+    DOWN = (1, 0)
+    LEFT = (0, -1)
+    RIGHT = (0, 1)
 
 
 def heights_with_gaps(field: HeightField) -> NDArray[np.float32]:
@@ -61,17 +73,21 @@ def _halved(level: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.stack([blocks[..., 0].min(axis=(1, 3)), blocks[..., 1].max(axis=(1, 3))], axis=-1)
 
 
-def cone_slopes(height: NDArray[np.float32], pitch_mm: float) -> NDArray[np.float32]:
+def cone_slopes(
+    height: NDArray[np.float32], pitch_mm: float, heading: Heading = Heading.ANYWHERE
+) -> NDArray[np.float32]:
     """Slope S of the steepest cone over each texel that may hold surface.
 
-    At a distance r from a texel no height is above its own by more than S r. Heights are gathered
-    in squares of growing size, so S is a little too large, and never too small.
+    At a distance r from a texel no height is above its own by more than S r; of a heading, none of
+    those in the half of the canvas that lies that way. Heights are gathered in rectangles of
+    growing size, so S is a little too large, and never too small.
 
     Parameters
     ----------
     height : (rows, cols) float32 array
         mm.
     pitch_mm : float
+    heading : Heading
 
     Returns
     -------
@@ -82,8 +98,15 @@ def cone_slopes(height: NDArray[np.float32], pitch_mm: float) -> NDArray[np.floa
     for radius in (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128):
         if before > max(height.shape):
             break
-        square = np.ones((2 * radius + 1, 1), np.uint8)
-        highest = cv2.dilate(cv2.dilate(height, square), square.T)
+        highest = height
+        for axis, ahead in enumerate(heading.value):
+            # A window of rows, or of columns: to both sides, or from the texel ahead alone.
+            window = np.ones(radius + 1 if ahead else 2 * radius + 1, np.uint8)
+            texel = 0 if ahead > 0 else radius
+            if axis == 0:
+                highest = cv2.dilate(highest, window[:, np.newaxis], anchor=(0, texel))
+            else:
+                highest = cv2.dilate(highest, window[np.newaxis], anchor=(texel, 0))
         np.maximum(slopes, (highest - height) / np.float32(before * pitch_mm), out=slopes)
         before = radius
     return slopes

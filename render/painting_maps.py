@@ -13,7 +13,7 @@ from scipy.ndimage import distance_transform_edt
 
 from fitting.digital_copy import DigitalCopy
 from render.errors import RenderError
-from render.height_pyramid import cone_slopes, heights_with_gaps, min_max_pyramid
+from render.height_pyramid import Heading, cone_slopes, heights_with_gaps, min_max_pyramid
 from render.opengl import GL, pyrender
 
 LARGEST_SIDE = 16384
@@ -26,7 +26,7 @@ class Sampling(Enum):
     """How a texture is read between its texels and its levels."""
 
     TEXELS = (GL.GL_NEAREST_MIPMAP_NEAREST, GL.GL_NEAREST)
-    NEAREST_LEVEL = (GL.GL_LINEAR_MIPMAP_NEAREST, GL.GL_LINEAR)
+    ONE_LEVEL = (GL.GL_LINEAR, GL.GL_LINEAR)
     SMOOTH = (GL.GL_LINEAR_MIPMAP_LINEAR, GL.GL_LINEAR)
 
 
@@ -41,6 +41,11 @@ class FloatTexture(pyrender.Texture):
     half : bool
         Whether it is kept in half precision.
     sampling : Sampling
+
+    Attributes
+    ----------
+    level : int
+        The finest level that is read; of :attr:`Sampling.ONE_LEVEL` the only one.
     """
 
     def __init__(
@@ -55,6 +60,7 @@ class FloatTexture(pyrender.Texture):
         self._levels = [np.ascontiguousarray(level, dtype=np.float32) for level in levels]
         self._half = half
         self._sampling = sampling
+        self.level = 0
 
     def _add_to_context(self) -> None:
         rows, cols, channels = self._levels[0].shape
@@ -92,6 +98,11 @@ class FloatTexture(pyrender.Texture):
         ):
             GL.glTexParameteri(GL.GL_TEXTURE_2D, parameter, value)
 
+    def _bind(self) -> None:
+        super()._bind()
+        if self._sampling is Sampling.ONE_LEVEL:
+            GL.glTexParameteri(GL.GL_TEXTURE_2D, GL.GL_TEXTURE_BASE_LEVEL, self.level)
+
 
 class PaintingMaterial(pyrender.Material):
     """The maps of a copy, and what else its shaders need.
@@ -118,6 +129,7 @@ class PaintingMaterial(pyrender.Material):
             for name, values in maps.items()
         }
         self._searched: dict[str, FloatTexture] = {}
+        self._cones: dict[Heading, FloatTexture] = {}
         half = 0.5 * field.pitch_mm
         self.uniforms: dict[str, Any] = {
             "has_reflectance": copy.reflectance is not None,
@@ -147,17 +159,33 @@ class PaintingMaterial(pyrender.Material):
             "pyramid_cells": cells,
             "pyramid_top": len(pyramid) - 1,
         }
-        cones = [
-            np.dstack([level, cone_slopes(level[..., 0], self._copy.height_field.pitch_mm * 2**n)])
-            for n, level in enumerate(self.height_levels)
-        ]
         heights = FloatTexture("height_map", [height[..., np.newaxis]])
         self._searched = {
             "height_map": heights,
             "pyramid_heights": heights,
             "pyramid": FloatTexture("pyramid", pyramid, sampling=Sampling.TEXELS),
-            "search_map": FloatTexture("search_map", cones, sampling=Sampling.NEAREST_LEVEL),
         }
+
+    def prepare_cones(self, heading: Heading, level: int) -> None:
+        """Have rays of one heading be searched by cones, at one level of the heights."""
+        if not self._cones:
+            # Half floats are finest about zero: there the most heights are to be.
+            field = self._copy.height_field
+            self.uniforms["search_origin"] = float(np.median(field.height[field.mask]))
+        if heading not in self._cones:
+            self._cones[heading] = self._cone_texture(heading)
+        self._searched["search_map"] = self._cones[heading]
+        self._cones[heading].level = min(level, len(self.height_levels) - 1)
+
+    def _cone_texture(self, heading: Heading) -> FloatTexture:
+        origin = np.float32(self.uniforms["search_origin"])
+        levels = []
+        for number, level in enumerate(self.height_levels):
+            pitch_mm = self._copy.height_field.pitch_mm * 2**number
+            slopes = cone_slopes(level[..., 0], pitch_mm, heading)
+            steepest = np.float32(np.finfo(np.float16).max)
+            levels.append(np.dstack([level[..., 0] - origin, np.minimum(slopes, steepest)]))
+        return FloatTexture("search_map", levels, half=True, sampling=Sampling.ONE_LEVEL)
 
     @property
     def maps(self) -> dict[str, FloatTexture]:
@@ -167,7 +195,7 @@ class PaintingMaterial(pyrender.Material):
     @property
     def textures(self) -> set[FloatTexture]:
         """Every texture, for pyrender to keep in its context."""
-        return set(self.maps.values())
+        return set(self.maps.values()) | set(self._cones.values())
 
     @property
     def is_transparent(self) -> bool:

@@ -127,6 +127,10 @@ class PaintingRenderer(pyrender.renderer.Renderer):
         projection = camera.camera.get_projection_matrix(self.viewport_width, self.viewport_height)
         away = scene.get_pose(camera)[:3, 3] - pose[:3, 3]
         primitive.look(pose[:3, :3].T @ away, 2 / (projection[1, 1] * self.viewport_height))
+        # A view may need maps that none before it did.
+        for texture in primitive.material.textures - self._mesh_textures:
+            texture._add_to_context()
+            self._mesh_textures.add(texture)
 
     def _bind_lighting(self, scene: Any, program: Any, node: Any, flags: int) -> None:
         self._camera_pose = scene.get_pose(scene.main_camera_node)

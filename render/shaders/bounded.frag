@@ -7,10 +7,10 @@
 // GRAZING from the top down by cones that hold no surface (J. Dummer, Cone step mapping, 2006).
 // TRIANGLES ends on the triangles of the mesh, where texels are larger than pixels.
 in vec3 canvas_position;
-uniform sampler2D search_map;    // height in mm, and slope below which the surface stays beside it
+uniform sampler2D search_map;    // height over search_origin, and slope of a cone without surface
+uniform float search_origin;     // mm
 uniform sampler2D height_map;    // mm; GAP where nothing was measured
 uniform ivec2 cells;
-uniform float search_level;      // of the search map
 uniform float top;               // mm, greatest height
 uniform float plane_error;       // mm, by which a height may differ from the plane's
 uniform float budget;            // pixels
@@ -22,7 +22,7 @@ const float GAP = -1e30;
 const float RELAXED = 1.2;
 const float NEAR_ENOUGH = 0.5;
 #else
-const float RELAXED = 1.5;
+const float RELAXED = 2.2;
 const float NEAR_ENOUGH = 0.8;
 #endif
 
@@ -71,13 +71,15 @@ void main() {
 #else
     float tolerance = NEAR_ENOUGH * budget / parallax;
     float reach = length(drift);
-    z = top;
+    z = top - search_origin;
+    vec2 origin_xy = plane_xy + search_origin * drift;
     for (; steps < most_steps; ++steps) {
-        vec2 found = textureLod(search_map, texture_coordinate(plane_xy + z * drift), search_level).xy;
+        vec2 found = textureLod(search_map, texture_coordinate(origin_xy + z * drift), 0.0).xy;
         float clearance = z - found.x;
         if (abs(clearance) <= tolerance) { z = found.x; break; }
-        z -= RELAXED * clearance / (1.0 + found.y * reach);
+        z -= clearance * min(RELAXED / (1.0 + found.y * reach), 1.0);
     }
+    z += search_origin;
 #endif
 #ifdef TRIANGLES
     z = onto_triangle(z, plane_xy, drift);

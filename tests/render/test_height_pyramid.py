@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from render.height_pyramid import GAP, cone_slopes, min_max_pyramid
+from render.height_pyramid import GAP, Heading, cone_slopes, min_max_pyramid
 
 
 def test_every_square_holds_the_heights_of_its_cells():
@@ -47,3 +47,24 @@ def test_no_height_stands_in_a_cone():
     # Nor are cones needlessly narrow: over a plane they are as wide as its slope, or nearly.
     ramp = np.broadcast_to(0.1 * np.arange(50, dtype=np.float32), (40, 50))
     assert cone_slopes(ramp, 0.5)[20, 25] == pytest.approx(0.2, rel=1.01)
+
+
+@pytest.mark.parametrize("heading", list(Heading))
+def test_no_height_ahead_stands_in_the_cone_of_a_heading(heading):
+    random = np.random.default_rng(2)
+    height = random.standard_normal((40, 50)).astype(np.float32).cumsum(axis=1)
+    slopes = cone_slopes(height, 0.5, heading)
+    rows, cols = np.mgrid[0:40, 0:50]
+    for row, col in random.integers(0, [40, 50], (60, 2)):
+        ahead = heading.value[0] * (rows - row) + heading.value[1] * (cols - col) >= 0
+        away = 0.5 * np.hypot(rows - row, cols - col)
+        within = height <= height[row, col] + slopes[row, col] * away + 1e-4
+        assert within[ahead].all()
+
+
+def test_a_ridge_behind_a_ray_does_not_hold_it_up():
+    ridge = np.zeros((41, 41), np.float32)
+    ridge[20, 17] = 1.0
+    slopes = {heading: cone_slopes(ridge, 0.5, heading)[20, 20] for heading in Heading}
+    assert slopes.pop(Heading.RIGHT) == 0
+    assert min(slopes.values()) >= 1.0 / 1.5
