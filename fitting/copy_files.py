@@ -9,6 +9,7 @@ n_y and the mask; ``uncertainty.exr`` the standard errors of height and slope; `
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +47,7 @@ def write_copy(
     *,
     replace: bool = False,
     microfacets: MicrofacetMaps | None = None,
+    beside: Callable[[Path], None] = lambda folder: None,
 ) -> None:
     """Write a digital copy, whole or not at all.
 
@@ -58,6 +60,8 @@ def write_copy(
         Whether a copy that is there already is replaced.
     microfacets : MicrofacetMaps, optional
         The reflectance as other viewers take it, for ``ggx.exr``.
+    beside : callable, optional
+        Writes further files into the copy's folder before it appears.
 
     Raises
     ------
@@ -83,6 +87,7 @@ def write_copy(
             _write_reflectance(folder, copy.reflectance)
         if microfacets is not None:
             _write_microfacets(folder / MICROFACET_FILE, microfacets)
+        beside(folder)
         (folder / COPY_FILE).write_text(json.dumps(_header(copy), indent=1, allow_nan=False))
 
 

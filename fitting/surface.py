@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -33,6 +34,9 @@ class SurfaceOptions:
     relief : ReliefOptions
     pitch_mm : float or None
         Texel pitch; None takes the spacing of the points.
+    pitch_factor : float
+        Texel pitch over the spacing of the points, where ``pitch_mm`` is None: coarser texels cost
+        less time.
     footprint_mm : float or None
         Radius of the resampling's footprint, where smoothing is wanted; None takes the least.
     """
@@ -41,6 +45,7 @@ class SurfaceOptions:
     canvas: CanvasOptions = field(default_factory=CanvasOptions)
     relief: ReliefOptions = field(default_factory=ReliefOptions)
     pitch_mm: float | None = None
+    pitch_factor: float = 1.0
     footprint_mm: float | None = None
 
 
@@ -110,8 +115,12 @@ def reconstruct_surface(
     range_image = triangulate(correspondence, rig, options.range_image)
     canvas = extract_canvas(range_image, options.canvas)
     noise = measure_surface_noise(range_image, canvas)
+    spacing = point_spacing_mm(range_image, canvas)
+    pitch_mm = options.pitch_mm
+    if pitch_mm is None and options.pitch_factor != 1.0:
+        pitch_mm = options.pitch_factor * math.sqrt(spacing[0] * spacing[1])
     heights = resample_heights(
-        range_image, canvas, pitch_mm=options.pitch_mm, footprint_mm=options.footprint_mm
+        range_image, canvas, pitch_mm=pitch_mm, footprint_mm=options.footprint_mm
     )
     normal_xy, slope_sigma = triangle_normals(
         heights.height, heights.mask, heights.variance, heights.pitch_mm
@@ -129,9 +138,7 @@ def reconstruct_surface(
         range_image,
         canvas,
         noise,
-        footprint_radius_mm(
-            point_spacing_mm(range_image, canvas), heights.pitch_mm, options.footprint_mm
-        ),
+        footprint_radius_mm(spacing, heights.pitch_mm, options.footprint_mm),
         measure_shape(heights),
         propagate_calibration(correspondence, rig, canvas),
     )

@@ -1,10 +1,15 @@
-"""From a session on disk to a digital copy on disk, with the figures of every step."""
+"""From a session on disk to a digital copy on disk, stage by stage, with the figures of each.
+
+A stage runs only when the recording, the calibration or a parameter that it depends on has changed
+since its result was stored (:mod:`workstation.stage_cache`). Reflectance does not depend on the
+classification of the relief, nor the other way round.
+"""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
+import hashlib
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,28 +17,44 @@ from typing import Any
 
 import numpy as np
 
-from acquisition.correspondence import CorrespondenceMap, Rejection
+from acquisition.correspondence import CorrespondenceMap
 from acquisition.decoding import DecodingOptions, decode
 from acquisition.plan import Purpose
-from acquisition.session import Session
+from acquisition.session import JOURNAL_FILE, Session
 from calibration.errors import CalibrationError
 from calibration.registration import RegisteredView, register_photographs
 from calibration.rig_geometry import RigGeometry
+from devices.bayer import BayerPattern
 from fitting.digital_copy import DigitalCopy
 from fitting.reflectance.held_out import Comparison
 from fitting.reflectance.lamp_table import LampTable
 from fitting.reflectance.recorded_photographs import PhotographOptions, read_photographs
+from fitting.relief import Relief
+from fitting.relief_classification import ReliefOptions, classify_relief
 from fitting.surface import Surface, SurfaceOptions, reconstruct_surface
 from workstation.interruption import interruption_held
-from workstation.reflectance_processing import ReflectanceOptions, add_reflectance
-
-_ERROR_SUMMARY = (
-    "height_noise",
-    "height_sigma_mm",
-    "height_unresolved_mm",
-    "canvas_shape",
-    "calibration_uncertainty",
+from workstation.processing_figures import (
+    errors_by_stage,
+    reflectance_provenance,
+    registration_figures,
+    relief_figures,
+    scan_figures,
 )
+from workstation.reflectance_processing import (
+    AddedReflectance,
+    ReflectanceOptions,
+    add_reflectance,
+)
+from workstation.stage_cache import StageCache, StageResult, digest_of_files
+
+# Names of the stages, as progress, reports and stored results have them.
+DECODING = "decoding"
+SURFACE = "reconstructing the surface"
+RELIEF = "classifying the relief"
+FIGURES = "summing up the scan"
+REGISTRATION = "registering the photographs"
+REFLECTANCE = "fitting the reflectance"
+REFLECTANCE_FIGURES = "summing up the reflectance"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,29 +68,133 @@ class ProcessingOptions:
 
 
 @dataclass(frozen=True)
-class Processed:
-    """A processed session.
+class PhotographStages:
+    """Stages of a session of photographs.
 
     Attributes
     ----------
-    copy : DigitalCopy
-        With its provenance filled in.
-    correspondence : CorrespondenceMap
-    surface : Surface
-    figures : dict
-        Plain JSON values for ``--json`` and reports.
-    rig : RigGeometry
-        The calibration in force.
-    comparisons : tuple of Comparison
-        Photographs that were kept out of the fit of the reflectance, beside their renderings.
+    digest : str
+        Of the session.
+    lamps : str
+        Digest of the table of lamps.
+    views : StageResult
+        Registered places of the camera.
+    added : StageResult
+        The reflectance.
+    figures : StageResult
+        What came of both, as plain JSON values.
     """
 
-    copy: DigitalCopy
-    correspondence: CorrespondenceMap
-    surface: Surface
-    figures: dict[str, Any]
+    digest: str
+    lamps: str
+    views: StageResult[dict[str | None, RegisteredView]]
+    added: StageResult[AddedReflectance]
+    figures: StageResult[dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Processed:
+    """A processed session, whose results are read from the disk where they are asked for.
+
+    Attributes
+    ----------
+    session : Session
+    rig : RigGeometry
+        The calibration in force.
+    rig_digest : str
+    options : ProcessingOptions
+    stages : StageCache
+        What became of each stage, and where results are kept.
+    """
+
+    session: Session
     rig: RigGeometry
-    comparisons: tuple[Comparison, ...] = ()
+    rig_digest: str
+    options: ProcessingOptions
+    stages: StageCache
+    _correspondence: StageResult[CorrespondenceMap]
+    _surface: StageResult[Surface]
+    _relief: StageResult[tuple[Relief, dict[str, Any]]]
+    _scan_figures: StageResult[dict[str, Any]]
+    photographs: PhotographStages | None = None
+
+    @property
+    def correspondence(self) -> CorrespondenceMap:
+        """The decoded scan."""
+        return self._correspondence.get()
+
+    @property
+    def surface(self) -> Surface:
+        """What led to the heights; its relief is not what was asked for, which the copy has."""
+        return self._surface.get()
+
+    @property
+    def comparisons(self) -> tuple[Comparison, ...]:
+        """Photographs that were kept out of the fit of the reflectance, beside renderings."""
+        return () if self.photographs is None else tuple(self.photographs.added.get().comparisons)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was ambiguous or doubtful on the way."""
+        return tuple(self._scan_figures.get()["warnings"])
+
+    @property
+    def key(self) -> str:
+        """Differs where the copy does."""
+        photographs = self.photographs
+        parts = [self._relief.key, self._scan_figures.key, self.session.digest]
+        if photographs is not None:
+            parts += [photographs.digest, photographs.added.key]
+        return hashlib.sha256(" ".join(parts).encode()).hexdigest()
+
+    @cached_property
+    def copy(self) -> DigitalCopy:
+        """The digital copy, with its provenance."""
+        found = self.surface.copy
+        if self.photographs is not None:
+            found = self.photographs.added.get().copy
+        return replace(found, relief=self._relief.get()[0], provenance=self._provenance())
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """Plain JSON values for ``--json`` and reports."""
+        seconds = {run.name: round(run.seconds, 3) for run in self.stages.runs}
+        return self._lasting_figures | {
+            "seconds": seconds,
+            "stages": [asdict(run) for run in self.stages.runs],
+        }
+
+    @cached_property
+    def _lasting_figures(self) -> dict[str, Any]:
+        figures = self._scan_figures.get() | self._relief.get()[1]
+        if self.photographs is not None:
+            figures["reflectance"] = self.photographs.figures.get()
+        return figures
+
+    def _provenance(self) -> dict[str, Any]:
+        figures, options = self._lasting_figures, self.options
+        parameters = {"decoding": asdict(options.decoding), "surface": asdict(options.surface)}
+        found: dict[str, Any] = {
+            "software": f"impasto {version('impasto')}",
+            "session": self.session.digest,
+            "calibration": self.rig_digest,
+            "source": self.session.plan.source,
+        }
+        if self.photographs is not None:
+            parameters |= {
+                "photographs": asdict(options.photographs),
+                "reflectance": asdict(options.reflectance),
+            }
+            found |= {
+                "photographs": self.photographs.digest,
+                "lamps": self.photographs.lamps,
+                "reflectance": reflectance_provenance(figures["reflectance"]),
+            }
+        return found | {
+            "parameters": _plain(parameters),
+            "errors": errors_by_stage(figures),
+            "warnings": figures["warnings"],
+        }
 
 
 def process_session(
@@ -77,7 +202,7 @@ def process_session(
     *,
     calibration: Path | None = None,
     options: ProcessingOptions | None = None,
-    begin: Callable[[str], None] = lambda stage: None,
+    stages: StageCache | None = None,
 ) -> Processed:
     """Process a session into a digital copy in memory.
 
@@ -88,8 +213,8 @@ def process_session(
     calibration : Path, optional
         Folder of a rig calibration to use instead of the session's own.
     options : ProcessingOptions, optional
-    begin : callable, optional
-        Called with the name of each stage as it starts.
+    stages : StageCache, optional
+        Results of earlier runs; by default none, and every stage runs.
 
     Raises
     ------
@@ -97,18 +222,7 @@ def process_session(
         From any stage.
     """
     options = options or ProcessingOptions()
-    seconds: dict[str, float] = {}
-
-    def stage(name: str) -> Callable[[], None]:
-        begin(name)
-        started = time.perf_counter()
-
-        def done() -> None:
-            seconds[name] = round(time.perf_counter() - started, 3)
-
-        return done
-
-    done = stage("checking the session")
+    stages = stages or StageCache(None)
     session = Session.open(path)
     folder = calibration or session.calibration_folder
     if folder is None:
@@ -118,156 +232,145 @@ def process_session(
         )
     rig = RigGeometry.load(folder)
     _check_sizes(session, rig, folder)
-    done()
+    rig_digest = digest_of_files(folder)
 
-    done = stage("decoding")
-    with interruption_held():
-        correspondence = decode(session.plan_of(Purpose.CODE), session.read_frame, options.decoding)
-    done()
-    done = stage("reconstructing the surface")
-    with interruption_held():
-        surface = reconstruct_surface(correspondence, rig, options.surface)
-    done()
+    def decoded() -> CorrespondenceMap:
+        with interruption_held():
+            return decode(session.plan_of(Purpose.CODE), session.read_frame, options.decoding)
 
-    figures = _figures(correspondence, surface) | {"seconds": seconds}
-    provenance = {
-        "software": f"impasto {version('impasto')}",
-        "session": session.digest,
-        "source": session.plan.source,
-        "parameters": {"decoding": asdict(options.decoding), "surface": asdict(options.surface)},
-        "errors": {name: figures[name] for name in _ERROR_SUMMARY},
-        "warnings": figures["warnings"],
-    }
-    copy = replace(surface.copy, provenance=provenance)
-    return Processed(copy, correspondence, surface, figures, rig)
+    correspondence = stages.run(
+        DECODING, decoded, depends_on=_recorded(session), parameters=options.decoding
+    )
+
+    def reconstructed() -> Surface:
+        with interruption_held():
+            return reconstruct_surface(correspondence.get(), rig, all_but_relief)
+
+    # The relief is classified by a stage of its own, whose options change nothing here.
+    all_but_relief = replace(options.surface, relief=ReliefOptions())
+    surface = stages.run(
+        SURFACE,
+        reconstructed,
+        depends_on=(correspondence.key, rig_digest),
+        parameters=all_but_relief,
+    )
+
+    def classified() -> tuple[Relief, dict[str, Any]]:
+        heights = surface.get().copy.height_field
+        found = classify_relief(heights, options.surface.relief)
+        return found, relief_figures(heights, found)
+
+    relief = stages.run(
+        RELIEF, classified, depends_on=(surface.key,), parameters=options.surface.relief
+    )
+
+    figures = stages.run(
+        FIGURES,
+        lambda: scan_figures(correspondence.get(), surface.get()),
+        depends_on=(surface.key,),
+        parameters=None,
+    )
+    return Processed(
+        session, rig, rig_digest, options, stages, correspondence, surface, relief, figures
+    )
 
 
-def add_photographs(
-    processed: Processed,
-    path: Path,
-    lamps: Path,
-    *,
-    options: ProcessingOptions | None = None,
-    begin: Callable[[str], None] = lambda stage: None,
-) -> Processed:
+def add_photographs(processed: Processed, path: Path, lamps: Path) -> Processed:
     """Give a processed scan the reflectance that a session of photographs shows.
 
     Parameters
     ----------
     processed : Processed
+        Its options and stored results are used.
     path : Path
         Session of photographs: the projected code and the lamp's poses from each place.
     lamps : Path
         Table of lamps (:class:`~fitting.reflectance.lamp_table.LampTable`).
-    options : ProcessingOptions, optional
-    begin : callable, optional
-        Called with the name of each stage as it starts.
 
     Raises
     ------
     ImpastoError
         From any stage.
     """
-    options = options or ProcessingOptions()
-    begin("registering the photographs")
+    options, stages = processed.options, processed.stages
     session = Session.open(path)
     table = LampTable.load(lamps)
-    with interruption_held():
-        views = register_photographs(
-            session, processed.correspondence, processed.rig, decoding=options.decoding
-        )
-    begin("reading the photographs")
-    with TemporaryDirectory(prefix="impasto-photographs-") as scratch:
+    lamps_digest = hashlib.sha256(Path(lamps).read_bytes()).hexdigest()
+
+    def registered() -> dict[str | None, RegisteredView]:
         with interruption_held():
-            photographs = read_photographs(
-                session,
-                views,
-                table,
-                processed.copy.height_field.rt_cam_canvas,
-                scratch=Path(scratch),
-                options=options.photographs,
+            return register_photographs(
+                session, processed.correspondence, processed.rig, decoding=options.decoding
             )
-        added = add_reflectance(
-            processed.copy,
-            photographs,
-            surface=processed.surface,
-            options=options.reflectance,
-            begin=begin,
-        )
-    figures = added.figures | {"registration": _registration(views)}
-    provenance = processed.copy.provenance | {
-        "photographs": session.digest,
-        "reflectance": {name: added.figures.get(name) for name in ("materials", "held_out")},
-    }
+
+    views = stages.run(
+        REGISTRATION,
+        registered,
+        depends_on=(*_recorded(session), processed._correspondence.key, processed.rig_digest),
+        parameters=options.decoding,
+    )
+
+    def fitted() -> AddedReflectance:
+        copy = processed.surface.copy
+        with TemporaryDirectory(prefix="impasto-photographs-") as scratch:
+            with interruption_held():
+                photographs = read_photographs(
+                    session,
+                    views.get(),
+                    table,
+                    copy.height_field.rt_cam_canvas,
+                    scratch=Path(scratch),
+                    options=options.photographs,
+                )
+            return add_reflectance(
+                copy,
+                photographs,
+                surface=processed.surface,
+                options=options.reflectance,
+                begin=stages.begin,
+            )
+
+    added = stages.run(
+        REFLECTANCE,
+        fitted,
+        depends_on=(views.key, processed._surface.key, lamps_digest),
+        parameters={
+            "photographs": asdict(options.photographs),
+            "reflectance": asdict(options.reflectance),
+        },
+    )
+    figures = stages.run(
+        REFLECTANCE_FIGURES,
+        lambda: added.get().figures | {"registration": registration_figures(views.get())},
+        depends_on=(added.key,),
+        parameters=None,
+    )
     return replace(
         processed,
-        copy=replace(added.copy, provenance=provenance),
-        figures=processed.figures | {"reflectance": figures},
-        comparisons=tuple(added.comparisons),
+        photographs=PhotographStages(session.digest, lamps_digest, views, added, figures),
     )
 
 
-def process_light_only(
-    path: Path,
-    *,
-    pitch_mm: float = 1.0,
-    linear: bool = False,
-    options: ReflectanceOptions | None = None,
-    begin: Callable[[str], None] = lambda stage: None,
-) -> tuple[DigitalCopy, list[Comparison], dict[str, Any]]:
-    """Reflectance of a flat object from an ``.lp`` file and its pictures.
-
-    Parameters
-    ----------
-    path : Path
-        The ``.lp`` file; its pictures lie beside it.
-    pitch_mm : float
-        Size of a pixel on the object.
-    linear : bool
-        Whether 8-bit pictures hold linear values.
-    options : ReflectanceOptions, optional
-    begin : callable, optional
-
-    Returns
-    -------
-    copy : DigitalCopy
-        Flat.
-    comparisons : list of Comparison
-    figures : dict
-
-    Raises
-    ------
-    ImpastoError
-    """
-    from fitting.reflectance.light_only import read_light_only
-
-    begin("reading the pictures")
-    copy, photographs = read_light_only(path, pitch_mm=pitch_mm, linear=linear)
-    added = add_reflectance(copy, photographs, options=options, begin=begin)
-    figures = {
-        "texels": int(copy.height_field.mask.sum()),
-        "shape": list(copy.height_field.shape),
-        "pitch_mm": pitch_mm,
-        "reflectance": added.figures,
-    }
-    provenance = copy.provenance | {
-        "software": f"impasto {version('impasto')}",
-        "pictures": [photograph.name for photograph in photographs],
-        "reflectance": {name: added.figures.get(name) for name in ("materials", "held_out")},
-    }
-    return replace(added.copy, provenance=provenance), added.comparisons, figures
+def _recorded(session: Session) -> tuple[str, ...]:
+    """Digests of all that was recorded: of the frames, and of when and how long they took."""
+    journal = (session.path / JOURNAL_FILE).read_bytes()
+    return session.digest, hashlib.sha256(journal).hexdigest()
 
 
-def _registration(views: dict[str | None, RegisteredView]) -> dict[str, Any]:
-    return {
-        place or "where it stood": {
-            "pairs": view.pairs,
-            "inliers": view.inliers,
-            "residual_px": view.residual_px,
-            "texture_px": view.texture_px,
-        }
-        for place, view in views.items()
-    }
+def _plain(value: Any) -> Any:
+    """Options as JSON has them."""
+    match value:
+        case dict():
+            return {key: _plain(inner) for key, inner in value.items()}
+        case tuple() | list():
+            return [_plain(inner) for inner in value]
+        case BayerPattern():
+            return value.value
+        case np.ndarray():
+            return f"{value.shape} {hashlib.sha256(value.tobytes()).hexdigest()}"
+        case float() if not np.isfinite(value):
+            return str(value)
+    return value
 
 
 def _check_sizes(session: Session, rig: RigGeometry, folder: Path) -> None:
@@ -280,67 +383,3 @@ def _check_sizes(session: Session, rig: RigGeometry, folder: Path) -> None:
                 f"{folder}: the {name} was calibrated at {lens.width}×{lens.height}, the session "
                 f"was recorded at {imager.width}×{imager.height}"
             )
-
-
-def _figures(correspondence: CorrespondenceMap, surface: Surface) -> dict[str, Any]:
-    copy = surface.copy
-    heights = copy.height_field
-    low, high = heights.height_range_mm
-    sigma = np.sqrt(heights.variance[heights.mask])
-    rejection = surface.range_image.rejection
-    return {
-        "decoded_share": float(correspondence.valid.mean()),
-        "rejected_share": {
-            reason.name: float(np.mean(rejection & reason != 0))
-            for reason in Rejection
-            if reason and reason.name
-        },
-        "sample_noise": correspondence.noise_sigma,
-        "epipolar_misalignment_px": surface.range_image.misalignment_px,
-        "canvas_pixels": int(surface.canvas.mask.sum()),
-        "canvas_axes": str(surface.canvas.axes),
-        "canvas_shape": _shape(surface),
-        "texels": int(heights.mask.sum()),
-        "shape": list(heights.shape),
-        "size_mm": list(heights.size_mm),
-        "pitch_mm": heights.pitch_mm,
-        "height_range_mm": [low, high],
-        "height_rms_mm": float(np.std(heights.height[heights.mask])),
-        "height_sigma_mm": float(np.median(sigma)),
-        "height_unresolved_mm": heights.unresolved_mm,
-        "height_correlation": [] if heights.correlation is None else heights.correlation.tolist(),
-        "footprint_mm": list(surface.footprint_mm),
-        "calibration_uncertainty": _calibration(surface),
-        "height_noise": {
-            "observed_mm": surface.noise.observed_mm,
-            "predicted_mm": surface.noise.predicted_mm,
-            "samples": surface.noise.samples,
-        },
-        "delta0_mm": copy.relief.delta0_mm,
-        "delta0_proposed_mm": copy.relief.proposed_delta0_mm,
-        "boxes": len(copy.relief.boxes),
-        "significant_share": float(copy.relief.significant[heights.mask].mean()),
-        "warnings": list(surface.warnings),
-    }
-
-
-def _shape(surface: Surface) -> dict[str, Any] | str:
-    shape = surface.shape
-    if shape is None:
-        return "unknown: too little of the canvas was measured"
-    named = zip(("bow_x", "bow_y", "twist"), shape.sigma_mm, strict=True)
-    return {
-        "bow_x_mm": shape.bow_x_mm,
-        "bow_y_mm": shape.bow_y_mm,
-        "twist_mm": shape.twist_mm,
-    } | {f"{name}_sigma_mm": sigma for name, sigma in named}
-
-
-def _calibration(surface: Surface) -> dict[str, Any] | str:
-    uncertainty = surface.calibration
-    if uncertainty is None:
-        return "unknown: the rig's calibration carries no covariance"
-    named = zip(("bow_x", "bow_y", "twist"), uncertainty.shape_mm, strict=True)
-    return {"height_sigma_mm": uncertainty.height_mm} | {
-        f"{name}_sigma_mm": sigma for name, sigma in named
-    }

@@ -10,18 +10,25 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, is_dataclass
 from enum import Enum
 from functools import cache
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+import numpy as np
+
 from acquisition.atomic_files import file_in_progress
 from workstation.result_files import PACKAGES, ResultFileError, read_result, write_result
 
 T = TypeVar("T")
+# proc(5): 5 sets the process's peak of resident memory back to what it holds now.
+_CLEAR_REFS, _FORGET_PEAK = Path("/proc/self/clear_refs"), "5"
+_STATUS = Path("/proc/self/status")
 
 
 @dataclass(frozen=True)
@@ -37,12 +44,15 @@ class StageRun:
         Whether the stored result was taken.
     saved_s : float
         What the stage took when it ran, if it was skipped.
+    peak_mb : float
+        Most memory that the process held while the stage ran; 0 where that is not known.
     """
 
     name: str
     seconds: float
     skipped: bool
     saved_s: float = 0.0
+    peak_mb: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -75,11 +85,14 @@ class StageCache:
         What became of each stage, in order.
     begin : callable
         Called with the name of each stage that runs, as it starts.
+    done : callable
+        Called with what became of each stage, as it ends or is left out.
     """
 
     folder: Path | None
     begin: Callable[[str], None] = lambda stage: None
     runs: list[StageRun] = field(default_factory=list)
+    done: Callable[[StageRun], None] = lambda run: None
 
     def run(
         self, name: str, compute: Callable[[], T], *, depends_on: tuple[str, ...], parameters: Any
@@ -113,23 +126,34 @@ class StageCache:
         stem = self.folder / name.replace(" ", "-")
         note = _read_note(stem.with_suffix(".json"))
         if note.get("key") == key and stem.with_suffix(".npz").is_file():
-            self.runs.append(
-                StageRun(name, time.perf_counter() - began, True, float(note.get("seconds", 0.0)))
-            )
+            saved, peak = (_number(note.get(what)) for what in ("seconds", "peak_mb"))
+            self._end(StageRun(name, time.perf_counter() - began, True, saved, peak))
             return StageResult(key, cache(lambda: self._read(name, stem, compute)))
         result = self._compute(name, key, compute, began)
         # Where there is no room for it, the next run has to do the work again.
         with contextlib.suppress(OSError):
-            self._store(stem, key, result.get(), self.runs[-1].seconds)
+            self._store(stem, key, result.get(), self.runs[-1])
         return result
+
+    def seconds_before(self, name: str) -> float | None:
+        """What a stage took when it last ran; None if that is not known."""
+        if self.folder is None:
+            return None
+        note = _read_note((self.folder / name.replace(" ", "-")).with_suffix(".json"))
+        return _number(note["seconds"]) if "seconds" in note else None
 
     def _compute(
         self, name: str, key: str, compute: Callable[[], T], began: float
     ) -> StageResult[T]:
         self.begin(name)
-        value = compute()
-        self.runs.append(StageRun(name, time.perf_counter() - began, False))
+        with peak_memory() as peak_mb:
+            value = compute()
+        self._end(StageRun(name, time.perf_counter() - began, False, 0.0, peak_mb()))
         return StageResult(key, lambda: value)
+
+    def _end(self, run: StageRun) -> None:
+        self.runs.append(run)
+        self.done(run)
 
     def _read(self, name: str, stem: Path, compute: Callable[[], T]) -> T:
         try:
@@ -141,14 +165,42 @@ class StageCache:
             return compute()
 
     @staticmethod
-    def _store(stem: Path, key: str, value: Any, seconds: float) -> None:
+    def _store(stem: Path, key: str, value: Any, run: StageRun) -> None:
         """Store a result and then its key, so that a key never names another's result."""
         stem.parent.mkdir(parents=True, exist_ok=True)
         note = stem.with_suffix(".json")
         note.unlink(missing_ok=True)
         write_result(value, stem.with_suffix(".npz"))
         with file_in_progress(note) as unfinished:
-            unfinished.write_text(json.dumps({"key": key, "seconds": round(seconds, 3)}))
+            unfinished.write_text(
+                json.dumps(
+                    {
+                        "key": key,
+                        "seconds": round(run.seconds, 3),
+                        "peak_mb": round(run.peak_mb, 1),
+                    }
+                )
+            )
+
+
+@contextmanager
+def peak_memory() -> Iterator[Callable[[], float]]:
+    """Most memory, MB, that the process holds from here until the value is asked for.
+
+    0 where the system does not tell (it does on Linux).
+    """
+    with contextlib.suppress(OSError):
+        _CLEAR_REFS.write_text(_FORGET_PEAK)
+    yield _peak_mb
+
+
+def _peak_mb() -> float:
+    try:
+        status = _STATUS.read_text()
+    except OSError:
+        return 0.0
+    found = re.search(r"^VmHWM:\s+(\d+) kB$", status, re.MULTILINE)
+    return int(found[1]) / 1024 if found else 0.0
 
 
 def digest_of_files(folder: Path) -> str:
@@ -173,6 +225,8 @@ def _plain(value: Any) -> Any:
         return value.name
     if isinstance(value, Path):
         return str(value)
+    if isinstance(value, np.ndarray):
+        return [value.shape, str(value.dtype), hashlib.sha256(value.tobytes()).hexdigest()]
     raise TypeError(f"a {type(value).__name__} is no parameter of a stage")
 
 
@@ -186,6 +240,10 @@ def _program() -> str:
             digest.update(file.relative_to(root).as_posix().encode())
             digest.update(file.read_bytes())
     return digest.hexdigest()
+
+
+def _number(value: Any) -> float:
+    return float(value) if isinstance(value, int | float) else 0.0
 
 
 def _read_note(path: Path) -> dict[str, Any]:

@@ -104,12 +104,14 @@ def interrupt(command: Command, place: Path, *, times: int, seed: int = 0) -> li
 
 
 def _left_behind(command: Command, folder: Path, ended: int) -> str | None:
-    left = sorted(path.name for path in folder.iterdir())
+    # Results of stages are kept for the next run, and are whole each: see workstation.stage_cache.
+    beside = {"out-run.json", "out-relief.png"}
+    left = sorted(path.name for path in folder.iterdir() if path.name != "out-stages")
     if ended not in _ENDED:
         return f"ended with {ended}"
     if ended != 0:
         return f"left {', '.join(left)}" if left else None
-    if left != ["out"]:
+    if "out" not in left or not set(left) <= {"out"} | beside:
         return f"made {', '.join(left) or 'nothing'}"
     try:
         command.check(folder / "out")

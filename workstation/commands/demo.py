@@ -46,7 +46,7 @@ def demo(
         raise SessionError(f"{out} exists already; choose another place, or add --force")
     started = time.perf_counter()
     with (
-        progress("demo", total=5 + len(NamedView)) as steps,
+        progress("demo", total=3 + len(NamedView)) as steps,
         folder_in_progress(out, replace=force) as folder,
     ):
         steps.begin("painting and lighting the scene")
@@ -60,7 +60,8 @@ def demo(
             steps.begin(stage)
             steps.advance()
 
-        done = process_session(folder / "session", begin=begin)
+        begin("processing")
+        done = process_session(folder / "session")
         write_copy(done.copy, folder / "copy")
         (folder / "renders").mkdir()
         with Painter() as painter:

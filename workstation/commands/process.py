@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,9 +12,15 @@ import typer
 from devices.bayer import BayerPattern
 
 if TYPE_CHECKING:
-    from fitting.digital_copy import DigitalCopy
-    from fitting.reflectance.held_out import Comparison
     from workstation.processing import ProcessingOptions
+
+
+class QualityChoice(StrEnum):
+    """Those of :class:`workstation.quality.Quality`, without what importing that takes."""
+
+    DRAFT = "draft"
+    NORMAL = "normal"
+    BEST = "best"
 
 
 def register(app: typer.Typer) -> None:
@@ -50,6 +57,16 @@ def process(
     keep_normals: Annotated[
         bool, typer.Option(help="Leave the normals as the heights have them.")
     ] = False,
+    quality: Annotated[
+        QualityChoice, typer.Option(help="Run time against error; both are said beforehand.")
+    ] = QualityChoice.NORMAL,
+    stages: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Keep results of the stages here; default: COPY-stages."),
+    ] = None,
+    afresh: Annotated[
+        bool, typer.Option("--afresh", help="Run every stage, and keep no results of them.")
+    ] = False,
     pitch: Annotated[
         float | None,
         typer.Option(metavar="MM", help="Texel pitch; of --lp, a pixel's. Default: the points'."),
@@ -69,7 +86,9 @@ def process(
     """Turn a scan session into a digital copy, and a picture of its relief beside it.
 
     With photographs the copy gets its reflectance, and a picture beside it compares some that were
-    kept out of the fit with their renderings.
+    kept out of the fit with their renderings. Run again, it runs only the stages whose recording,
+    calibration or parameters have changed; cut off, it goes on after the last stage that ended. A
+    copy of the same session is replaced, any other only with --force.
 
     Example:
 
@@ -79,15 +98,6 @@ def process(
 
         impasto process --lp dome/lights.lp --out copy/
     """
-    from fitting.canvas import CanvasOptions
-    from fitting.copy_files import check_destination
-    from fitting.reflectance.maps import MapOptions
-    from fitting.reflectance.recorded_photographs import PhotographOptions
-    from fitting.relief_classification import ReliefOptions
-    from fitting.surface import SurfaceOptions
-    from workstation.processing import ProcessingOptions
-    from workstation.reflectance_processing import ReflectanceOptions
-
     if (session is None) == (lp is None):
         raise typer.BadParameter("name a SESSION, or pictures with --lp, and not both")
     if (photographs is None) != (lamps is None):
@@ -96,69 +106,131 @@ def process(
         raise typer.BadParameter("--lp has pictures of its own; leave --photographs out")
     if ggx and lp is None and photographs is None:
         raise typer.BadParameter("--ggx converts reflectance: name --photographs or --lp")
-    check_destination(out, replace=force)
-    options = ProcessingOptions(
-        surface=SurfaceOptions(
-            canvas=CanvasOptions(seed=seed),
-            relief=ReliefOptions(delta0_mm=delta0, cell=cell),
-            pitch_mm=pitch,
-        ),
-        photographs=PhotographOptions(mosaic=mosaic),
-        reflectance=ReflectanceOptions(maps=MapOptions(refine_normals=not keep_normals)),
-    )
+    options = _options(quality, seed, delta0, cell, pitch, mosaic, keep_normals=keep_normals)
     if lp is not None:
         figures = _process_pictures(lp, out, pitch or 1.0, linear, options, ggx=ggx, force=force)
     else:
         assert session is not None  # by the check above
-        figures = _process_scan(
-            session, out, calibration, photographs, lamps, options, ggx=ggx, force=force
-        )
+        job = _Job(session, out, calibration, photographs, lamps, ggx=ggx, force=force)
+        kept = None if afresh else stages or out.with_name(f"{out.name}-stages")
+        figures = _process_scan(job, quality, options, kept)
     from workstation.json_output import write_json
 
     write_json(json, figures)
 
 
-def _process_scan(
-    session: Path,
-    out: Path,
-    calibration: Path | None,
-    photographs: Path | None,
-    lamps: Path | None,
-    options: ProcessingOptions,
+@dataclass(frozen=True)
+class _Job:
+    """What is made of what."""
+
+    session: Path
+    out: Path
+    calibration: Path | None
+    photographs: Path | None
+    lamps: Path | None
+    _: KW_ONLY
+    ggx: bool
+    force: bool
+
+
+def _options(
+    quality: QualityChoice,
+    seed: tuple[int, int] | None,
+    delta0: float | None,
+    cell: int,
+    pitch: float | None,
+    mosaic: BayerPattern | None,
     *,
-    ggx: bool,
-    force: bool,
+    keep_normals: bool,
+) -> ProcessingOptions:
+    from dataclasses import replace
+
+    from fitting.canvas import CanvasOptions
+    from fitting.reflectance.recorded_photographs import PhotographOptions
+    from fitting.relief_classification import ReliefOptions
+    from workstation.quality import Quality, quality_options
+
+    chosen = quality_options(Quality(quality.value))
+    surface = replace(
+        chosen.surface,
+        canvas=CanvasOptions(seed=seed),
+        relief=ReliefOptions(delta0_mm=delta0, cell=cell),
+        pitch_mm=pitch,
+    )
+    reflectance = chosen.reflectance
+    if keep_normals:
+        maps = replace(reflectance.maps, refine_normals=False)
+        reflectance = replace(reflectance, maps=maps)
+    return replace(
+        chosen,
+        surface=surface,
+        photographs=PhotographOptions(mosaic=mosaic),
+        reflectance=reflectance,
+    )
+
+
+def _process_scan(
+    job: _Job, chosen: QualityChoice, options: ProcessingOptions, kept: Path | None
 ) -> dict[str, Any]:
-    from fitting.relief_picture import draw_relief
+    from acquisition.session import Session
+    from workstation.copy_writing import (
+        check_copy_destination,
+        is_written,
+        write_processed,
+        write_run,
+    )
+    from workstation.expected_time import expected_seconds
     from workstation.processing import add_photographs, process_session
-    from workstation.progress import progress
+    from workstation.quality import Quality, describe
+    from workstation.stage_cache import StageCache
+    from workstation.stage_progress import clock_text, stage_progress
 
-    with progress("processing", total=4 if photographs is None else 8) as steps:
-
-        def begin(stage: str) -> None:
-            steps.advance()
-            steps.begin(stage)
-
-        done = process_session(session, calibration=calibration, options=options, begin=begin)
-        if photographs is not None and lamps is not None:
-            done = add_photographs(done, photographs, lamps, options=options, begin=begin)
-        begin("writing the copy")
-        _write(done.copy, out, done.comparisons, ggx=ggx, force=force)
-        draw_relief(done.copy, out.with_name(f"{out.name}-relief.png"))
-    for warning in done.surface.warnings:
+    quality = Quality(chosen.value)
+    session = Session.open(job.session)
+    check_copy_destination(job.out, session.digest, force=job.force)
+    pictures = None if job.photographs is None else Session.open(job.photographs)
+    stages = StageCache(kept)
+    expected = expected_seconds(stages, session, photographs=pictures, quality=quality)
+    total = sum(expected.values())
+    typer.echo(
+        f"{quality}: about {clock_text(total)} if every stage runs; {describe(quality)}", err=True
+    )
+    with stage_progress("processing", expected) as steps:
+        stages.begin, stages.done = steps.begin, steps.done
+        done = process_session(
+            job.session, calibration=job.calibration, options=options, stages=stages
+        )
+        if job.photographs is not None and job.lamps is not None:
+            done = add_photographs(done, job.photographs, job.lamps)
+        current = is_written(job.out, kept, done.key, ggx=job.ggx)
+        if not current:
+            steps.begin("writing the copy")
+            write_processed(done, job.out, ggx=job.ggx, stages=kept)
+    figures = done.figures | {"quality": str(quality), "expected_seconds": expected}
+    if not current:
+        write_run(done, job.out, {"quality": str(quality), "expected_seconds": expected})
+    for warning in done.warnings:
         typer.echo(f"warning: {warning}", err=True)
-    figures = done.figures
+    _say_heights(figures, job.out, current=current)
+    _say(figures)
+    took = sum(run.seconds for run in stages.runs)
+    saved = sum(run.saved_s for run in stages.runs)
+    spared = f", and {clock_text(saved)} spared" if saved else ""
+    typer.echo(f"{clock_text(took)} taken{spared}")
+    return figures
+
+
+def _say_heights(figures: dict[str, Any], out: Path, *, current: bool) -> None:
     width, height = figures["size_mm"]
     noise = figures["height_noise"]
     typer.echo(
-        f"{out}: {figures['texels']} texels of {figures['pitch_mm']:.3f} mm on "
-        f"{width:.1f} × {height:.1f} mm, relief {figures['height_range_mm'][0]:.2f} to "
-        f"{figures['height_range_mm'][1]:.2f} mm, δ0 {figures['delta0_mm']:.2f} mm, "
-        f"{figures['boxes']} boxes; white noise {noise['observed_mm'] * 1000:.0f} µm, predicted "
-        f"{noise['predicted_mm'] * 1000:.0f} µm"
+        f"{out}{' is up to date' if current else ''}: {figures['texels']} texels of "
+        f"{figures['pitch_mm']:.3f} mm on {width:.1f} × {height:.1f} mm, relief "
+        f"{figures['height_range_mm'][0]:.2f} to {figures['height_range_mm'][1]:.2f} mm, "
+        f"δ0 {figures['delta0_mm']:.2f} mm, {figures['boxes']} boxes; standard error of a height "
+        f"{figures['height_sigma_mm'] * 1000:.0f} µm, white noise "
+        f"{noise['observed_mm'] * 1000:.0f} µm, predicted {noise['predicted_mm'] * 1000:.0f} µm"
     )
-    _say(figures)
-    return figures
 
 
 def _process_pictures(
@@ -171,8 +243,12 @@ def _process_pictures(
     ggx: bool,
     force: bool,
 ) -> dict[str, Any]:
-    from workstation.processing import process_light_only
+    from fitting.copy_files import check_destination
+    from workstation.copy_writing import write_pictured
+    from workstation.light_only_processing import process_light_only
     from workstation.progress import progress
+
+    check_destination(out, replace=force)
 
     with progress("processing", total=4) as steps:
 
@@ -184,25 +260,11 @@ def _process_pictures(
             lp, pitch_mm=pitch_mm, linear=linear, options=options.reflectance, begin=begin
         )
         begin("writing the copy")
-        _write(copy, out, comparisons, ggx=ggx, force=force)
+        write_pictured(copy, out, comparisons, ggx=ggx, replace=force)
     rows, cols = figures["shape"]
     typer.echo(f"{out}: {cols} × {rows} texels under {len(copy.provenance['pictures'])} lights")
     _say(figures)
     return figures
-
-
-def _write(
-    copy: DigitalCopy, out: Path, comparisons: Sequence[Comparison], *, ggx: bool, force: bool
-) -> None:
-    from fitting.copy_files import write_copy
-    from fitting.reflectance.held_out_picture import draw_held_out
-    from fitting.reflectance.microfacet import microfacets_of
-
-    wanted = ggx and copy.reflectance is not None
-    facets = microfacets_of(copy.reflectance) if wanted and copy.reflectance else None
-    write_copy(copy, out, replace=force, microfacets=facets)
-    if comparisons:
-        draw_held_out(comparisons, out.with_name(f"{out.name}-held-out.png"))
 
 
 def _say(figures: dict[str, Any]) -> None:

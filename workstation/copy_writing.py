@@ -1,0 +1,145 @@
+"""A processed session on disk: the copy, the pictures beside it, and the record of the run.
+
+Beside ``COPY`` lie ``COPY-relief.png``, ``COPY-held-out.png`` where photographs were kept out of
+the fit, ``COPY-run.json`` with what each stage took, and the folder ``COPY-stages`` of stored
+results, which may be deleted. In the copy is nothing that differs from run to run.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.atomic_files import write_bytes
+from calibration.srgb import encode_srgb
+from fitting.copy_files import COPY_FILE, check_destination, write_copy
+from fitting.digital_copy import DigitalCopy
+from fitting.reflectance.held_out import Comparison
+from fitting.reflectance.held_out_picture import draw_held_out
+from fitting.reflectance.microfacet import microfacets_of
+from fitting.relief_picture import draw_relief
+from workstation.interruption import interruption_held
+from workstation.json_output import write_json
+from workstation.processing import Processed
+from workstation.stage_cache import digest_of_files
+
+HELD_OUT_FOLDER = "held-out"
+HELD_OUT_FILE = "held-out.json"
+_WRITTEN = "written.json"
+# Of a picture in a copy; reports show them no larger.
+_LARGEST_SIDE_PX = 1000
+
+
+def stages_folder(copy: Path) -> Path:
+    """Where results of the stages behind a copy are kept by default."""
+    return copy.with_name(f"{copy.name}-stages")
+
+
+def run_file(copy: Path) -> Path:
+    """Where the record of the run that made a copy is."""
+    return copy.with_name(f"{copy.name}-run.json")
+
+
+def check_copy_destination(out: Path, session_digest: str, *, force: bool) -> None:
+    """Refuse to replace anything but a copy of the same session, unless that is asked for.
+
+    Raises
+    ------
+    CopyError
+    """
+    try:
+        provenance = json.loads((out / COPY_FILE).read_text())["provenance"]
+        same = provenance["session"] == session_digest
+    except (OSError, ValueError, KeyError, TypeError):
+        same = False
+    check_destination(out, replace=force or same)
+
+
+def is_written(out: Path, stages: Path | None, key: str, *, ggx: bool) -> bool:
+    """Whether the copy is there, as it was written for this key."""
+    if stages is None or not out.is_dir():
+        return False
+    try:
+        note = json.loads((stages / _WRITTEN).read_text())
+    except (OSError, ValueError):
+        return False
+    return bool(note == {"key": key, "ggx": ggx, "files": digest_of_files(out)})
+
+
+def write_processed(done: Processed, out: Path, *, ggx: bool, stages: Path | None) -> None:
+    """Write a copy, the pictures beside it, and a note by which it is known as up to date.
+
+    A copy that is there is replaced; see :func:`check_copy_destination`.
+
+    Raises
+    ------
+    CopyError
+        A folder that is no copy is in the way.
+    """
+    with interruption_held():
+        write_pictured(done.copy, out, done.comparisons, ggx=ggx, replace=True)
+        draw_relief(done.copy, out.with_name(f"{out.name}-relief.png"))
+        if stages is not None and stages.is_dir():
+            note = {"key": done.key, "ggx": ggx, "files": digest_of_files(out)}
+            write_json(stages / _WRITTEN, note)
+
+
+def write_pictured(
+    copy: DigitalCopy,
+    out: Path,
+    comparisons: Sequence[Comparison],
+    *,
+    ggx: bool = False,
+    replace: bool = False,
+) -> None:
+    """Write a copy with pictures of what was kept out of its fit."""
+    maps = copy.reflectance
+    facets = microfacets_of(maps) if ggx and maps is not None else None
+    beside = partial(_write_comparisons, comparisons) if comparisons else _nothing
+    write_copy(copy, out, replace=replace, microfacets=facets, beside=beside)
+    if comparisons:
+        draw_held_out(comparisons, out.with_name(f"{out.name}-held-out.png"))
+
+
+def write_run(done: Processed, out: Path, more: dict[str, Any]) -> None:
+    """Write the record of a run: what each stage took, or would have taken."""
+    write_json(run_file(out), more | {"stages": [asdict(run) for run in done.stages.runs]})
+
+
+def _nothing(folder: Path) -> None:
+    """There is nothing to write beside."""
+
+
+def _write_comparisons(comparisons: Sequence[Comparison], folder: Path) -> None:
+    """Photographs that were kept out of the fit, and their renderings, as anybody can see them."""
+    place = folder / HELD_OUT_FOLDER
+    place.mkdir()
+    rows = []
+    for one in comparisons:
+        seen = np.argwhere(np.isfinite(one.delta_e))
+        (top, left), (bottom, right) = seen.min(axis=0), seen.max(axis=0) + 1
+        here = np.s_[top:bottom, left:right]
+        for what in ("measured", "rendered"):
+            picture = _display(getattr(one, what)[here], one.white)
+            write_bytes(place / f"{one.name}-{what}.png", picture)
+        rows.append({"name": one.name, "psnr_db": one.psnr_db, "delta_e": one.mean_delta_e})
+    write_json(folder / HELD_OUT_FILE, rows)
+
+
+def _display(radiance: NDArray[np.float32], white: float) -> bytes:
+    shown = encode_srgb(np.clip(np.nan_to_num(radiance.astype(np.float64)) / white, 0.0, 1.0))
+    picture = np.rint(255 * shown).astype(np.uint8)[..., ::-1]
+    scale = min(1.0, _LARGEST_SIDE_PX / max(picture.shape[:2]))
+    if scale < 1.0:
+        picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    done, png = cv2.imencode(".png", picture)
+    assert done
+    return png.tobytes()
