@@ -1,8 +1,10 @@
 """Compiled look-up of texels in photographs, each under its own footprint.
 
-A texel is looked up with a tent over the pixels: as wide as the texel is in the photograph, or as
-the spacing of the pixels where that is larger. Of texels smaller than a pixel this is bilinear
-interpolation, of larger ones a mean over the texel. Of a mosaic, each of the four grids of like
+A texel is looked up by cubic convolution (Keys, IEEE Transactions on Acoustics, Speech, and Signal
+Processing 29, 1981), which keeps what pixels resolve: a highlight along a bristle's furrow is a
+pixel wide. The kernel is stretched to the texel where that is larger than the pixels' spacing, and
+so takes a mean over it. Where the kernel's skirts reach beyond the picture, or to a pixel that is
+saturated, a tent of half the reach takes its place. Of a mosaic, each of the four grids of like
 pixels is looked up by itself, two pixels being their spacing, so that nothing is made up between
 the colours, and slopes of radiance do not turn into colour.
 """
@@ -16,26 +18,50 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 
+@njit(inline="always")
+def _tent(away: float) -> float:
+    return max(1.0 - abs(away), 0.0)
+
+
+@njit(inline="always")
+def _cubic(away: float) -> float:
+    """Keys' kernel with the slope of -1/2 at 1, which reproduces quadratics."""
+    x = abs(away)
+    if x < 1.0:
+        return (1.5 * x - 2.5) * x * x + 1.0
+    if x < 2.0:
+        return ((2.5 - 0.5 * x) * x - 4.0) * x + 2.0
+    return 0.0
+
+
 @njit(cache=True)
-def _look_up(image, variance, flat, row_phase, col_phase, step, channel, u, v, wide, high):  # type: ignore[no-untyped-def]
-    """Weighted mean and its variance at column u and row v; NaN if a pixel in reach is unusable."""
+def _look_up(image, variance, flat, row_phase, col_phase, step, channel, u, v, wide, high, sharp):  # type: ignore[no-untyped-def]
+    """Weighted mean and its variance at column u and row v; NaN if a pixel in reach is unusable.
+
+    The kernel is the cubic if ``sharp``, otherwise the tent.
+    """
     rows, cols = image.shape[:2]
     wide = max(wide, float(step))
     high = max(high, float(step))
-    if not (u - wide >= -1.0 and v - high >= -1.0 and u + wide <= cols and v + high <= rows):
+    reach = 2.0 if sharp else 1.0
+    left, right = u - reach * wide, u + reach * wide
+    top, bottom = v - reach * high, v + reach * high
+    if not (left >= -1.0 and top >= -1.0 and right <= cols and bottom <= rows):
         return math.nan, math.nan
     total = 0.0
     light = 0.0
     noise = 0.0
-    first_row = math.floor(v - high) + 1
+    first_row = math.floor(top) + 1
     first_row += (row_phase - first_row) % step
-    first_col = math.floor(u - wide) + 1
+    first_col = math.floor(left) + 1
     first_col += (col_phase - first_col) % step
-    for row in range(first_row, math.ceil(v + high), step):
-        down = 1.0 - abs(row - v) / high
-        for col in range(first_col, math.ceil(u + wide), step):
-            weight = down * (1.0 - abs(col - u) / wide)
-            if weight <= 1e-9:
+    for row in range(first_row, math.ceil(bottom), step):
+        down = (row - v) / high
+        down = _cubic(down) if sharp else _tent(down)
+        for col in range(first_col, math.ceil(right), step):
+            along = (col - u) / wide
+            weight = down * (_cubic(along) if sharp else _tent(along))
+            if abs(weight) <= 1e-9:
                 continue
             if row < 0 or col < 0 or row >= rows or col >= cols:
                 return math.nan, math.nan
@@ -46,6 +72,19 @@ def _look_up(image, variance, flat, row_phase, col_phase, step, channel, u, v, w
     if not total > 0.0:
         return math.nan, math.nan
     return light / total, noise / (total * total)
+
+
+@njit(cache=True)
+def _look_up_best(image, variance, flat, row_phase, col_phase, step, channel, u, v, wide, high):  # type: ignore[no-untyped-def]
+    """By the cubic where all of its reach is usable, otherwise by the tent."""
+    mean, noise = _look_up(
+        image, variance, flat, row_phase, col_phase, step, channel, u, v, wide, high, True
+    )
+    if math.isfinite(mean) and math.isfinite(noise):
+        return mean, noise
+    return _look_up(
+        image, variance, flat, row_phase, col_phase, step, channel, u, v, wide, high, False
+    )
 
 
 @njit(parallel=True, cache=True)
@@ -83,7 +122,7 @@ def look_up_texels(
         wide, high = footprint[i]
         if channels[0, 0] < 0:
             for c in range(image.shape[2]):
-                radiance[i, c], noise[i, c] = _look_up(
+                radiance[i, c], noise[i, c] = _look_up_best(
                     image, variance, flat, 0, 0, 1, c, u, v, wide, high
                 )
             for c in range(image.shape[2], 3):
@@ -95,7 +134,7 @@ def look_up_texels(
         for row in range(2):
             for col in range(2):
                 c = channels[row, col]
-                mean, own = _look_up(image, variance, flat, row, col, 2, 0, u, v, wide, high)
+                mean, own = _look_up_best(image, variance, flat, row, col, 2, 0, u, v, wide, high)
                 counts[c] += 1.0
                 light[c] += mean
                 squares[c] += own
