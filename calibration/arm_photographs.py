@@ -16,11 +16,11 @@ from acquisition.merged_photographs import (
 from acquisition.plan import PlannedFrame
 from acquisition.session import Session
 from calibration.errors import CalibrationError
+from calibration.mosaics import mosaic_channels
 from devices.bayer import BayerPattern
 from devices.interfaces import ArmPose
 
 Singles = NDArray[np.float32]
-_CHANNEL = {"R": 0, "G": 1, "B": 2}
 _EVEN = 8
 # Of a usual picture's bright parts: beyond, it is a highlight.
 _BRIGHT = 99.0
@@ -102,11 +102,8 @@ class ArmPhotographs:
     @property
     def channels(self) -> NDArray[np.int64]:
         """Channel of each pixel by parity of row and column, (2, 2); -1 if monochrome."""
-        if self.mosaic is None:
-            return np.full((2, 2), -1, np.int64)
-        order = np.array([_CHANNEL[letter] for letter in self.mosaic.value]).reshape(2, 2)
         column, row = self.origin
-        return np.roll(order, (-(row % 2), -(column % 2)), axis=(0, 1))
+        return mosaic_channels(self.mosaic, row=row, column=column)
 
     def radiance(self, number: int) -> tuple[Singles, Singles]:
         """A photograph and its variance, (rows, cols) each, sensor numbers per second.

@@ -11,7 +11,7 @@ from calibration.gates import Verdict, covered_cells, normal_spread_deg
 from calibration.lens import Lens, rotation
 from calibration.mrcal_solve import parameter_covariance
 from calibration.procam import LENS_NAMES
-from workstation.rig_calibration import CalibratedRig
+from workstation.rig_calibration import CalibratedRig, HeldoutPlane
 
 FIGURES_FILE = "calibration.json"
 
@@ -58,7 +58,8 @@ def calibration_figures(done: CalibratedRig) -> dict[str, Any]:
         "rt_proj_cam_sigma": cuts[2].tolist(),
         "baseline_mm": baseline,
         "heights": _heights(done),
-        "heldout_plane": _plane(done),
+        "heldout_planes": [_plane(plane) for plane in done.planes],
+        "repeatability": _repeatability(done),
         "poses": _poses(done),
         "tilt_spread_deg": normal_spread_deg(calibration).tolist(),
         "unread": [{"name": pose.name, "why": pose.why} for pose in poses.unread],
@@ -148,17 +149,25 @@ def _heights(done: CalibratedRig) -> dict[str, Any] | None:
     }
 
 
-def _plane(done: CalibratedRig) -> dict[str, Any] | None:
-    if done.plane is None:
-        return None
-    relief = done.plane.relief
+def _plane(plane: HeldoutPlane) -> dict[str, Any]:
+    relief = plane.relief
     return {
-        "pose": done.plane.pose,
+        "pose": plane.pose,
         "rms_mm": relief.plane_rms_mm,
         "smoothed_rms_mm": float(np.sqrt(np.nanmean(relief.height_mm**2))),
         "noise_mm": relief.noise_mm,
         "predicted_noise_mm": relief.predicted_noise_mm,
         "scale_error": relief.scale_error,
+    }
+
+
+def _repeatability(done: CalibratedRig) -> dict[str, Any] | None:
+    found = done.repeatability
+    if found is None:
+        return None
+    return {
+        "rms_mm": found.rms_mm.tolist(),
+        "detrended_rms_mm": found.detrended_rms_mm.tolist(),
     }
 
 

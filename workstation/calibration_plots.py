@@ -206,8 +206,8 @@ def difference_picture(
     return figure_png(figure, dpi=_DPI)
 
 
-def plane_picture(height_mm: NDArray[np.float64]) -> bytes:
-    """A board reconstructed by a calibration that has not seen it, its plane removed, in µm."""
+def plane_picture(height_mm: NDArray[np.float64], *, reach_mm: float) -> bytes:
+    """A board's heights or their differences, in µm, with colours up to ``reach_mm``."""
     rows, cols = height_mm.shape
     size = cols * PITCH_MM, rows * PITCH_MM
     figure = Figure(
@@ -217,7 +217,7 @@ def plane_picture(height_mm: NDArray[np.float64]) -> bytes:
     )
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    reach = max(float(np.nanpercentile(np.abs(height_mm), 99)), 1e-6) * 1000
+    reach = 1000 * max(reach_mm, 1e-6)
     shown = axes.imshow(
         1000 * height_mm,
         extent=(0, size[0], size[1], 0),

@@ -10,9 +10,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from acquisition.atomic_files import write_bytes
 from calibration.procam import LENS_NAMES
 from workstation.calibration_figures import calibration_figures
+from workstation.calibration_messages import messages_on_lights
 from workstation.calibration_plots import (
     coverage_picture,
     difference_picture,
@@ -25,10 +29,11 @@ from workstation.calibration_plots import (
     uncertainty_picture,
 )
 from workstation.json_output import write_json
-from workstation.report_page import Picture, page_templates
+from workstation.light_calibration import CalibratedLights
+from workstation.report_page import Picture, Section, Table, page_templates, write_page
 from workstation.report_sections import ReportSections, srgb_code
 from workstation.rig_calibration import CalibratedRig
-from workstation.section_plots import light_picture, response_picture
+from workstation.section_plots import flat_field_picture, light_picture, response_picture
 
 PAGE_FILE = "index.html"
 JSON_FILE = "report.json"
@@ -36,7 +41,11 @@ _PARAMETERS = ("f_x", "f_y", "c_x", "c_y", "k₁", "k₂", "p₁", "p₂", "k₃
 
 
 def write_report(
-    done: CalibratedRig, folder: Path, *, sections: ReportSections | None = None
+    done: CalibratedRig,
+    folder: Path,
+    *,
+    sections: ReportSections | None = None,
+    figures: dict[str, Any] | None = None,
 ) -> None:
     """Write the page and its figures into a folder, which is made.
 
@@ -45,10 +54,12 @@ def write_report(
     done : CalibratedRig
     folder : Path
     sections : ReportSections, optional
-        Light positions, response curves and colours, if they were measured.
+        Light positions, response curves, colours and flat field, if they were measured.
+    figures : dict, optional
+        Those of :func:`~workstation.calibration_figures.calibration_figures`, and others.
     """
     sections = sections or ReportSections()
-    figures = calibration_figures(done)
+    figures = figures or calibration_figures(done)
     environment = page_templates()
     environment.filters["srgb"] = srgb_code
     page = environment.get_template("calibration.html").render(
@@ -58,12 +69,71 @@ def write_report(
         pictures=_pictures(done),
         sections=sections,
         light_picture=_light_picture(sections),
+        flat_field_picture=_flat_field_picture(sections),
         response_pictures=[Picture(c.name, response_picture(c)) for c in sections.responses],
     )
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     write_json(folder / JSON_FILE, figures | sections.as_json())
     write_bytes(folder / PAGE_FILE, page.encode())
+
+
+def write_light_report(lights: CalibratedLights, sections: ReportSections, folder: Path) -> None:
+    """Write a page on a light arm that was calibrated by itself.
+
+    Parameters
+    ----------
+    lights : CalibratedLights
+    sections : ReportSections
+        Light positions among them.
+    folder : Path
+        It is made.
+    """
+    figures = lights.figures()
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_json(folder / JSON_FILE, {"light_arm": figures} | sections.as_json())
+    pictures = [_light_picture(sections), _flat_field_picture(sections)]
+    responses = tuple(Picture(c.name, response_picture(c)) for c in sections.responses)
+    shown = [
+        Section(
+            "Light arm",
+            tables=(_light_table(sections),),
+            pictures=tuple(picture for picture in pictures if picture is not None),
+        )
+    ]
+    if responses:
+        shown.append(Section("Response", pictures=responses))
+    write_page(
+        folder / PAGE_FILE,
+        title="Calibration of the light arm",
+        summary=(
+            f"{len(figures['spheres'])} mirror spheres under {figures['poses']} poses of the lamp. "
+            f"Directions to it are known to {figures['direction_sigma_deg_median']:.3f}° at the "
+            f"white target, {figures['direction_sigma_deg_largest']:.3f}° at worst; highlights are "
+            f"off by {figures['residual_deg_rms']:.2f}° RMS."
+        ),
+        sections=tuple(shown),
+        warnings=messages_on_lights(lights).warnings,
+    )
+
+
+def _light_table(sections: ReportSections) -> Table:
+    lights = sections.lights
+    assert lights is not None  # the report is on them
+    rows = zip(lights.names, lights.position_mm, lights.residual_deg, lights.sigma_deg, strict=True)
+    return Table(
+        tuple(
+            (
+                name,
+                ", ".join(f"{value:.1f}" for value in place),
+                "–" if np.isnan(off) else f"{off:.3f}°",
+                f"{sigma:.3f}°",
+            )
+            for name, place, off, sigma in rows
+        ),
+        heading=("azimuth, elevation", "X, Y, Z, mm", "residual", "standard error"),
+    )
 
 
 def _summary(figures: dict[str, Any]) -> list[str]:
@@ -87,8 +157,7 @@ def _summary(figures: dict[str, Any]) -> list[str]:
             "The side of the board's squares was taken as exact: an error of it is an error of all "
             "lengths in proportion. Give its standard error with --square-sigma."
         )
-    plane = figures["heldout_plane"]
-    if plane is not None:
+    for plane in figures["heldout_planes"][:1]:
         said.append(
             f"The board of pose {plane['pose']}, reconstructed by a calibration that has not seen "
             f"it, is flat to {1000 * plane['smoothed_rms_mm']:.0f} µm over 1.5 mm; its size is "
@@ -119,11 +188,26 @@ def _with_error(value: float, sigma: float, digits: int) -> str:
     return f"{value:.{digits}f} ± {sigma:.{digits}f}"
 
 
+def _of_one_scale(heights_mm: list[NDArray[np.float64]]) -> list[bytes]:
+    """Maps of heights with one scale of colours."""
+    if not heights_mm:
+        return []
+    reach = max(float(np.nanpercentile(np.abs(height), 99)) for height in heights_mm)
+    return [plane_picture(height, reach_mm=reach) for height in heights_mm]
+
+
 def _light_picture(sections: ReportSections) -> Picture | None:
     if sections.lights is None:
         return None
-    caption = "Positions of the lamp; the square is the origin"
+    caption = "Positions of the lamp about the white target, which is the square"
     return Picture(caption, light_picture(sections.lights))
+
+
+def _flat_field_picture(sections: ReportSections) -> Picture | None:
+    if sections.flat_field is None:
+        return None
+    caption = "Vignetting: what the camera makes of even light, 1 on its axis"
+    return Picture(caption, flat_field_picture(sections.flat_field))
 
 
 def _pictures(done: CalibratedRig) -> dict[str, list[Picture]]:
@@ -148,6 +232,7 @@ def _pictures(done: CalibratedRig) -> dict[str, list[Picture]]:
         "heights": [],
         "difference": [],
         "plane": [],
+        "repeatability": [],
         "drift": [],
     }
     if done.heights is not None:
@@ -164,9 +249,18 @@ def _pictures(done: CalibratedRig) -> dict[str, list[Picture]]:
         )
         for n, difference in enumerate(done.differences)
     ]
-    if done.plane is not None:
-        caption = f"Board of {done.plane.pose}, held out, its plane removed, averaged over 1.5 mm"
-        pictures["plane"] = [Picture(caption, plane_picture(done.plane.relief.height_mm))]
+    reliefs = [plane.relief.height_mm for plane in done.planes]
+    pictures["plane"] = [
+        Picture(f"Board of {plane.pose}, its plane removed", picture)
+        for plane, picture in zip(done.planes, _of_one_scale(reliefs), strict=True)
+    ]
+    repeatability = done.repeatability
+    if repeatability is not None:
+        differences = _of_one_scale(list(repeatability.difference_mm))
+        pictures["repeatability"] = [
+            Picture(f"Board of {plane.pose} less the mean of the others", picture)
+            for plane, picture in zip(done.planes, differences, strict=True)
+        ]
     if done.earlier:
         drift = done.earlier[0].drift
         pictures["drift"] = [

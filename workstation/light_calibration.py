@@ -75,6 +75,8 @@ class CalibratedLights:
     target : WhiteTarget
     flat_field : FlatField
         The camera's vignetting, as the target shows it.
+    white : ArmPhotographs
+        Photographs of the target.
     digests : dict of str to str
         Of the sessions, by name.
     """
@@ -83,6 +85,7 @@ class CalibratedLights:
     spheres: tuple[FoundSphere, ...]
     target: WhiteTarget
     flat_field: FlatField
+    white: ArmPhotographs
     digests: dict[str, str]
 
     @property
@@ -211,13 +214,9 @@ def calibrate_lights(
     if not together:
         poses, highlights, shading = _joined(balls.poses, target_photos.poses, highlights, shading)
     arm = fit_light_arm(poses, highlights, shading, rig.camera)
-    return _with_vignetting_apart(
-        arm,
-        tuple(found),
-        target,
-        rig,
-        {photos.session.path.name: photos.session.digest for photos in (balls, target_photos)},
-    )
+    arm, flat_field = _without_vignetting(arm, target, rig)
+    digests = {p.session.path.name: p.session.digest for p in (balls, target_photos)}
+    return CalibratedLights(arm, tuple(found), target, flat_field, target_photos, digests)
 
 
 def _photographs(path: Path, rig: RigGeometry, options: LightOptions) -> ArmPhotographs:
@@ -285,14 +284,10 @@ def _joined(
     )
 
 
-def _with_vignetting_apart(
-    arm: LightArm,
-    spheres: tuple[FoundSphere, ...],
-    target: WhiteTarget,
-    rig: RigGeometry,
-    digests: dict[str, str],
-) -> CalibratedLights:
-    """The lamp's intensity as of radiance that is freed of vignetting."""
+def _without_vignetting(
+    arm: LightArm, target: WhiteTarget, rig: RigGeometry
+) -> tuple[LightArm, FlatField]:
+    """The arm, its intensity as of radiance that is freed of the vignetting, and the vignetting."""
     assert arm.target_gains is not None  # targets from photographs have gains that are fitted
     lens = rig.camera
     field = vignetting_of(
@@ -304,5 +299,4 @@ def _with_vignetting_apart(
     )
     level = float(np.median(arm.target_gains / field.gain(target.pixels)))
     intensity = arm.parameters.intensity * level
-    arm = replace(arm, parameters=replace(arm.parameters, intensity=intensity))
-    return CalibratedLights(arm, spheres, target, field, digests)
+    return replace(arm, parameters=replace(arm.parameters, intensity=intensity)), field

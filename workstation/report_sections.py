@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.errors import CalibrationError
+from calibration.flat_field import FlatField
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,18 +97,27 @@ class ReportSections:
     responses : tuple of ResponseCurve
         Of camera and projector.
     colours : tuple of ColourPatch
+    flat_field : FlatField, optional
+        Of the camera.
     """
 
     lights: LightSection | None = None
     responses: tuple[ResponseCurve, ...] = ()
     colours: tuple[ColourPatch, ...] = ()
+    flat_field: FlatField | None = None
 
     def as_json(self) -> dict[str, object]:
         """What is there, as plain numbers."""
         found: dict[str, object] = {}
         if self.lights is not None:
             found["lights"] = [
-                {"name": n, "position_mm": p.tolist(), "residual_deg": r, "sigma_deg": s}
+                {
+                    "name": n,
+                    "position_mm": p.tolist(),
+                    # Photographs of the white target alone have no highlight.
+                    "residual_deg": None if np.isnan(r) else r,
+                    "sigma_deg": s,
+                }
                 for n, p, r, s in zip(
                     self.lights.names,
                     self.lights.position_mm,
@@ -125,6 +135,13 @@ class ReportSections:
                 {"name": c.name, "before": c.delta_e_before, "after": c.delta_e_after}
                 for c in self.colours
             ]
+        if self.flat_field is not None:
+            field = self.flat_field
+            found["flat_field"] = {
+                "centre": field.centre.tolist(),
+                "coefficients": field.coefficients.tolist(),
+                "sigma": np.sqrt(np.diagonal(field.covariance)).tolist(),
+            }
         return found
 
 

@@ -1,8 +1,7 @@
 """From sessions of board poses to a calibrated rig, with everything that says how good it is.
 
-Each session holds one pose of the board, recorded by ``impasto scan`` or imported from another
-program's capture. One pose is held out once more to reconstruct its board densely: a plane that the
-calibration has not seen.
+Some poses are held out once more, one by one, to reconstruct their boards densely: surfaces that
+the calibration has not seen, and the same in all of them.
 """
 
 from __future__ import annotations
@@ -15,14 +14,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.correspondence import CorrespondenceMap
-from acquisition.decoding import decode
-from acquisition.errors import DecodingError, SessionError
-from acquisition.plan import Imager, Purpose
-from acquisition.session import PLAN_FILE, Session
-from calibration.board_relief import BoardRelief, reconstruct_board
-from calibration.board_views import BoardView
-from calibration.boards import Chessboard
+from acquisition.session import Session
+from calibration.board_relief import (
+    BoardRelief,
+    Repeatability,
+    compare_reliefs,
+    reconstruct_board,
+)
 from calibration.cross_validation import CalibrationDifference, split_difference
 from calibration.drift import Drift, compare_with_earlier, working_volume
 from calibration.errors import CalibrationError
@@ -31,56 +29,18 @@ from calibration.lens import rotation
 from calibration.mrcal_solve import solve_without
 from calibration.procam import (
     LENS_NAMES,
-    MeasuredView,
     ProcamCalibration,
     ProcamOptions,
     calibrate_procam,
-    measure_view,
 )
 from calibration.rig_geometry import RigGeometry
 from calibration.uncertainty import UncertaintyMap, uncertainty_map
-from workstation.interruption import interruption_held
+from workstation.board_poses import LEAST_POSES, BoardPoses, measure_pose
 
-_LEAST_POSES = 3
 _POSES_TO_SPLIT = 6
-# Poses tried for the plane, which takes a board seen whole.
-_TRIES = 3
-
-
-@dataclass(frozen=True)
-class UnreadPose:
-    """A session in which no board could be measured."""
-
-    name: str
-    why: str
-
-
-@dataclass(frozen=True)
-class BoardPoses:
-    """Measured poses of the board.
-
-    Attributes
-    ----------
-    views : tuple of BoardView
-    sessions : dict of str to Path
-        Session of each pose by its name, so that one can be decoded again: the correspondence maps
-        of forty poses would fill the memory. Without them no plane is held out.
-    board : Chessboard
-    compensate_phases : bool
-    unread : tuple of UnreadPose
-    camera, projector : Imager
-    digests : dict of str to str
-        Digest of each session by the pose's name.
-    """
-
-    views: tuple[BoardView, ...]
-    sessions: dict[str, Path]
-    board: Chessboard
-    compensate_phases: bool
-    unread: tuple[UnreadPose, ...]
-    camera: Imager
-    projector: Imager
-    digests: dict[str, str]
+# Poses held out, each by itself; a board takes part that is seen whole.
+_HELD_OUT = 3
+_TRIES = 6
 
 
 @dataclass(frozen=True)
@@ -144,7 +104,8 @@ class CalibratedRig:
         None where camera and projector share too little of the field.
     differences : tuple of CalibrationDifference
         Of calibrations from every other view, camera and projector; empty with few views.
-    plane : HeldoutPlane or None
+    planes : tuple of HeldoutPlane
+        Of the poses that face the camera most, each held out by itself.
     earlier : tuple of EarlierRig
     seconds : dict of str to float
     """
@@ -155,109 +116,16 @@ class CalibratedRig:
     uncertainty: tuple[UncertaintyMap, ...]
     heights: HeightUncertainty | None
     differences: tuple[CalibrationDifference, ...]
-    plane: HeldoutPlane | None
+    planes: tuple[HeldoutPlane, ...]
     earlier: tuple[EarlierRig, ...]
     seconds: dict[str, float] = field(default_factory=dict)
 
-
-def find_sessions(folders: Sequence[Path]) -> tuple[Path, ...]:
-    """Sessions among folders: those that are sessions themselves, and those directly inside others.
-
-    Raises
-    ------
-    SessionError
-        A folder neither is a session nor holds one.
-    """
-    found: list[Path] = []
-    for folder in folders:
-        if (folder / PLAN_FILE).is_file():
-            found.append(folder)
-            continue
-        inside = sorted(plan.parent for plan in folder.glob(f"*/{PLAN_FILE}"))
-        if not inside:
-            raise SessionError(f"{folder} is no session, nor does it hold any")
-        found += inside
-    return tuple(dict.fromkeys(found))
-
-
-def measure_poses(
-    sessions: Sequence[Path],
-    board: Chessboard,
-    *,
-    compensate_phases: bool = True,
-    begin: Callable[[str], None] = lambda stage: None,
-) -> BoardPoses:
-    """Measure the board in every session.
-
-    Parameters
-    ----------
-    sessions : sequence of Path
-        One pose of the board each.
-    board : Chessboard or CharucoBoard
-    compensate_phases : bool
-        As in :func:`~calibration.procam.measure_view`.
-    begin : callable, optional
-        Called with the name of each pose as it is begun.
-
-    Raises
-    ------
-    CalibrationError
-        Sessions of different rigs, or the board found in too few.
-    SessionError
-        A session is damaged.
-    """
-    views: list[BoardView] = []
-    unread: list[UnreadPose] = []
-    digests: dict[str, str] = {}
-    first: Session | None = None
-    for name, path in _names(sessions).items():
-        begin(name)
-        session = Session.open(path)
-        first = first or session
-        _check_same_rig(first, session)
-        try:
-            measured = measure_pose(name, session, board, compensate_phases=compensate_phases)
-            views.append(measured.view)
-            digests[name] = session.digest
-        except (CalibrationError, DecodingError) as error:
-            unread.append(UnreadPose(name, str(error).removeprefix(f"{name}: ")))
-    if first is None or len(views) < _LEAST_POSES:
-        reasons = "; ".join(f"{pose.name}: {pose.why}" for pose in unread)
-        raise CalibrationError(
-            f"the board was measured in {len(views)} of {len(sessions)} sessions; a calibration "
-            f"takes three at least, better ten{'. ' + reasons if reasons else ''}"
-        )
-    return BoardPoses(
-        tuple(views),
-        _names(sessions),
-        board,
-        compensate_phases,
-        tuple(unread),
-        first.plan.camera,
-        first.plan.projector,
-        digests,
-    )
-
-
-def measure_pose(
-    name: str, session: Session, board: Chessboard, *, compensate_phases: bool = True
-) -> MeasuredView:
-    """Measure the board in one session.
-
-    Raises
-    ------
-    CalibrationError
-        The board is not found, or not decoded.
-    """
-    with interruption_held():
-        correspondence = decode(session.plan_of(Purpose.CODE), session.read_frame)
-    return measure_view(
-        name,
-        _evenly_lit(correspondence),
-        correspondence,
-        board,
-        compensate_phases=compensate_phases,
-    )
+    @property
+    def repeatability(self) -> Repeatability | None:
+        """How the boards that were held out agree; None with one of them."""
+        if len(self.planes) < 2:
+            return None
+        return compare_reliefs([plane.relief for plane in self.planes])
 
 
 def calibrate_rig(
@@ -266,6 +134,7 @@ def calibrate_rig(
     options: ProcamOptions | None = None,
     distances: Callable[[RigGeometry], Sequence[KnownDistance]] = lambda rig: (),
     earlier: Sequence[Path] = (),
+    held_out: int = _HELD_OUT,
     begin: Callable[[str], None] = lambda stage: None,
 ) -> CalibratedRig:
     """Calibrate a rig from measured poses, and gather the evidence.
@@ -278,6 +147,8 @@ def calibrate_rig(
         Lengths known apart from the board, and what the rig measures of them.
     earlier : sequence of Path
         Folders of earlier calibrations, the latest first.
+    held_out : int
+        Poses that are held out, one by one, and reconstructed densely.
     begin : callable, optional
         Called with the name of each stage as it starts.
 
@@ -305,7 +176,7 @@ def calibrate_rig(
     done()
     done = timed("cross-validating")
     differences = _differences(calibration, poses)
-    plane = _heldout_plane(calibration, poses)
+    planes = _heldout_planes(calibration, poses, held_out)
     done()
     done = timed("propagating the uncertainty")
     distance = calibration.working_distance_mm
@@ -320,36 +191,12 @@ def calibrate_rig(
         calibration,
         differences=differences,
         distances=distances(calibration.rig),
-        plane_over_noise=_roughness(plane),
+        plane_over_noise=_roughness(planes),
         drift=drifts[0].drift if drifts else None,
     )
     return CalibratedRig(
-        calibration, poses, gates, maps, heights, differences, plane, drifts, seconds
+        calibration, poses, gates, maps, heights, differences, planes, drifts, seconds
     )
-
-
-def _names(sessions: Sequence[Path]) -> dict[str, Path]:
-    """Sessions by the shortest names that tell them apart."""
-    paths = [path.resolve() for path in sessions]
-    if len({path.name for path in paths}) == len(paths):
-        return {path.name: path for path in paths}
-    return {str(path): path for path in paths}
-
-
-def _check_same_rig(first: Session, other: Session) -> None:
-    for name in ("camera", "projector"):
-        here, there = getattr(first.plan, name), getattr(other.plan, name)
-        if here != there:
-            raise CalibrationError(
-                f"{other.path}: its {name} has {there.width}×{there.height} pixels, that of "
-                f"{first.path} {here.width}×{here.height}; poses of one rig are calibrated together"
-            )
-
-
-def _evenly_lit(correspondence: CorrespondenceMap) -> NDArray[np.float32]:
-    """The board in even light: the steps of a fringe add up to it."""
-    light = correspondence.ambient
-    return np.nan_to_num(light, nan=float(np.nanmedian(light)))
 
 
 def _differences(
@@ -366,13 +213,18 @@ def _differences(
     )
 
 
-def _heldout_plane(calibration: ProcamCalibration, poses: BoardPoses) -> HeldoutPlane | None:
-    """The board of the pose that faces the camera most, by a calibration without it."""
+def _heldout_planes(
+    calibration: ProcamCalibration, poses: BoardPoses, count: int
+) -> tuple[HeldoutPlane, ...]:
+    """Boards of the poses that face the camera most, each by a calibration without it."""
     views = list(calibration.views)
-    if len(views) <= _LEAST_POSES or not poses.sessions:
-        return None
+    if len(views) <= LEAST_POSES or not poses.sessions:
+        return ()
     facing = np.argsort([-abs(rotation(rt)[2, 2]) for rt in calibration.solution.rt_ref_board])
+    found: list[HeldoutPlane] = []
     for number in facing[:_TRIES]:
+        if len(found) == count:
+            break
         view = views[number]
         solution = solve_without(calibration.solution, {view.name}, views, outlier_sigmas=np.inf)
         rig = RigGeometry(solution.lenses[0], solution.lenses[1], solution.rt_lens_ref[1])
@@ -392,12 +244,13 @@ def _heldout_plane(calibration: ProcamCalibration, poses: BoardPoses) -> Heldout
             )
         except CalibrationError:
             continue
-        return HeldoutPlane(view.name, relief)
-    return None
+        found.append(HeldoutPlane(view.name, relief))
+    return tuple(found)
 
 
-def _roughness(plane: HeldoutPlane | None) -> float | None:
-    return None if plane is None else plane.relief.plane_rms_mm / plane.relief.predicted_noise_mm
+def _roughness(planes: tuple[HeldoutPlane, ...]) -> float | None:
+    """Of the board that is best seen."""
+    return planes[0].relief.plane_rms_mm / planes[0].relief.predicted_noise_mm if planes else None
 
 
 def _height_uncertainty(calibration: ProcamCalibration) -> HeightUncertainty | None:

@@ -1,4 +1,4 @@
-"""Pictures of the report's optional parts: the lamp's positions, and response curves."""
+"""Pictures of the report's optional parts: the lamp's positions, responses, and the flat field."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from calibration.flat_field import FlatField
 from workstation.report_page import figure_png
 from workstation.report_sections import LightSection, ResponseCurve
 
@@ -46,4 +47,27 @@ def response_picture(curve: ResponseCurve) -> bytes:
     axes.set_xlabel(curve.input_name, fontsize=9)
     axes.set_ylabel(curve.output_name, fontsize=9)
     axes.tick_params(labelsize=8)
+    return figure_png(figure, dpi=_DPI)
+
+
+def flat_field_picture(field: FlatField) -> bytes:
+    """A camera's answer to even light over its picture, as PNG."""
+    figure = Figure(figsize=(4.6, 3.8), layout="constrained", dpi=_DPI)
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    x, y = (np.linspace(0, size - 1, 97) for size in (field.width, field.height))
+    gain = field.gain(np.stack(np.meshgrid(x, y), axis=-1))
+    shown = axes.pcolormesh(x, y, gain, cmap="gray", shading="gouraud", vmax=1)
+    lines = axes.contour(x, y, gain, 6, colors="#b3402a", linewidths=0.7)
+    axes.clabel(lines, fontsize=7, fmt="%.3g")
+    axes.plot(*field.centre, "+", color="#b3402a")
+    axes.set_xlim(-0.5, field.width - 0.5)
+    axes.set_ylim(field.height - 0.5, -0.5)
+    axes.set_aspect("equal")
+    axes.set_xlabel("camera column, px", fontsize=8)
+    axes.set_ylabel("row, px", fontsize=8)
+    axes.tick_params(labelsize=7)
+    bar = figure.colorbar(shown, ax=axes, shrink=0.85)
+    bar.set_label("answer to even light", fontsize=8)
+    bar.ax.tick_params(labelsize=7)
     return figure_png(figure, dpi=_DPI)

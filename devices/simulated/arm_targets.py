@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from devices.simulated.scene_objects import PlacedSurface, PolishedSphere, SceneObject, Wall
+from devices.simulated.shading_kernels import reflected
 from devices.simulated.surface import Surface
 
 # Of the field's width: the plate's width, and how far the spheres' middles are from its middle.
@@ -52,3 +53,9 @@ def place_arm_targets(
     middle = np.array([_ASIDE * width_mm, _RAISED * height_mm, 0.5 * sphere_mm])
     spheres = tuple(PolishedSphere(middle * [side, side, 1.0], sphere_mm) for side in (-1.0, 1.0))
     return PlacedSurface(plate), (*spheres, Wall(-_BEHIND_MM, albedo=_WHITE))
+
+
+def white_reflectance() -> float:
+    """What the plate reflects towards its normal of light along it, 1 for a perfect white."""
+    finish = np.array([_WHITE, _WHITE, _WHITE, 1.0, 0.0, 0.0], np.float32)
+    return float(reflected(finish, np.array([0.0, 1.0, 0.0]), 1.0, 1.0, 1.0, 1.0))

@@ -39,8 +39,9 @@ from workstation.benchmarks.simulated_boards import (
     projection_errors,
     simulate_boards,
 )
+from workstation.board_poses import BoardPoses
 from workstation.calibration_report import write_report
-from workstation.rig_calibration import BoardPoses, calibrate_rig
+from workstation.rig_calibration import calibrate_rig
 
 PROCAM_CAPTURE = "slstudio_procam"
 FIGUEROA = "mrcal-figueroa"

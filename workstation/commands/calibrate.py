@@ -1,16 +1,21 @@
-"""``impasto calibrate``: poses of a board become a calibrated rig."""
+"""``impasto calibrate``: poses of a board become a calibrated rig, photographs a light arm."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from devices.bayer import BayerPattern
 
 if TYPE_CHECKING:
     from calibration.boards import Chessboard
     from calibration.gates import KnownDistance
     from calibration.rig_geometry import RigGeometry
+    from workstation.calibration_extras import Extras, LightsAsked
+    from workstation.calibration_messages import Messages
+    from workstation.light_calibration import CalibratedLights
     from workstation.rig_calibration import CalibratedRig
 
 
@@ -21,17 +26,19 @@ def register(app: typer.Typer) -> None:
 
 def calibrate(
     sessions: Annotated[
-        list[Path],
+        list[Path] | None,
         typer.Argument(
             metavar="SESSION...",
             help="Sessions of one board pose each, or folders of such sessions.",
         ),
-    ],
+    ] = None,
     corners: Annotated[
-        tuple[int, int],
+        tuple[int, int] | None,
         typer.Option(metavar="COLUMNS ROWS", min=3, help="Inner corners of the board."),
-    ],
-    square: Annotated[float, typer.Option(metavar="MM", min=0.01, help="Side of a square.")],
+    ] = None,
+    square: Annotated[
+        float | None, typer.Option(metavar="MM", min=0.01, help="Side of a square.")
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder of the rig calibration to make.")
     ] = None,
@@ -66,6 +73,14 @@ def calibrate(
     raw_phases: Annotated[
         bool, typer.Option("--raw-phases", help="Leave periodic errors of the fringes in.")
     ] = False,
+    held_out: Annotated[
+        int,
+        typer.Option(
+            metavar="N",
+            min=0,
+            help="Poses to be held out, one by one, and compared as reconstructed surfaces.",
+        ),
+    ] = 3,
     baseline: Annotated[
         float | None,
         typer.Option(
@@ -84,57 +99,247 @@ def calibrate(
             help="Earlier calibration, to check for drift; several times, the latest first.",
         ),
     ] = None,
+    rig: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Calibrate lights only, with this calibration of the rig."
+        ),
+    ] = None,
+    spheres: Annotated[
+        Path | None,
+        typer.Option(metavar="SESSION", help="Photographs of mirror spheres under the light arm."),
+    ] = None,
+    white: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="SESSION",
+            help="Photographs of a flat white target; by default it is in those of --spheres.",
+        ),
+    ] = None,
+    sphere_radius: Annotated[
+        float | None, typer.Option(metavar="MM", min=0.1, help="Radius of the mirror spheres.")
+    ] = None,
+    sphere: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="COLUMN,ROW,RADIUS",
+            help="Where a sphere is, pixels; several times. By default they are looked for.",
+        ),
+    ] = None,
+    white_pixel: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="COLUMN ROW", help="On the white target; by default the middle."),
+    ] = None,
+    white_albedo: Annotated[
+        float, typer.Option(min=0.01, max=1.0, help="Reflectance of the white target.")
+    ] = 1.0,
+    mosaic: Annotated[
+        BayerPattern | None, typer.Option(help="Order of the camera's colours, if it has any.")
+    ] = None,
+    position: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Place of the rig's camera; by default the first."),
+    ] = None,
+    lamps_for: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="SESSION", help="Photographs whose lamp poses lamps.json is to hold too."
+        ),
+    ] = None,
+    greys: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="SESSION",
+            help="Greys of the projector, for the report; several times for standard errors.",
+        ),
+    ] = None,
+    chart: Annotated[
+        Path | None,
+        typer.Option(metavar="SESSION", help="Photographs with a colour chart, for the report."),
+    ] = None,
     opencv: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write OpenCV's matrices as .yml or .xml.")
     ] = None,
     force: Annotated[bool, typer.Option(help="Replace --out if it exists.")] = False,
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write figures here.")] = None,
 ) -> None:
-    """Calibrate camera and projector from sessions of a board, one pose each.
+    """Calibrate camera and projector from sessions of a board, and the light arm from photographs.
 
     Scan the board at ten poses or more, tilted by 20° to 40° to all four sides, at the distances
     and over all of the field at which paintings will stand. A calibration that fails a gate is
     reported but not written, and the exit code is 5.
 
+    For the lights, photograph two mirror spheres with a flat white target between them. The folder
+    then holds lamps.json, which impasto process takes.
+
     Example:
 
         for n in 1 2 3 4 5 6 7 8 9 10; do impasto scan rig.toml --out poses/$n; done
 
+        impasto photograph rig.toml --out spheres/ --position front --exposure 0.1 --exposure 30
+
         impasto calibrate poses/ --corners 14 10 --square 20 --marker 15 --out rig/ --report report/
+        --spheres spheres/ --sphere-radius 15
     """
-    from calibration.procam import OPENCV_MODELS, ProcamOptions
-    from workstation.calibration_figures import calibration_figures
-    from workstation.calibration_report import ReportSections, write_report
+    from workstation.calibration_extras import Extras
+    from workstation.calibration_messages import messages_on_lights, messages_on_rig
     from workstation.json_output import write_json
-    from workstation.progress import progress
-    from workstation.rig_calibration import calibrate_rig, find_sessions, measure_poses
 
     _check_outputs(out, opencv, force=force)
+    asked = _lights(spheres, white, sphere_radius, sphere, white_pixel, white_albedo, mosaic,
+                    position, lamps_for)  # fmt: skip
+    extras = Extras(asked, tuple(greys or ()), chart, mosaic)
+    if rig is not None:
+        if sessions or asked is None:
+            raise typer.BadParameter("goes with --spheres, and without sessions of a board",
+                                     param_hint="--rig")  # fmt: skip
+        write_json(json, _calibrate_lights_alone(rig, extras, out, report, force=force))
+        return
+    if not sessions or corners is None or square is None:
+        raise typer.BadParameter("name sessions of a board with --corners and --square, or a "
+                                 "calibrated rig with --rig")  # fmt: skip
     board = _board(corners, square, square_sigma, marker, dictionary, legacy=legacy)
-    models = tuple(_model_name(name) for name in model) if model else OPENCV_MODELS
+    models = tuple(_model_name(name) for name in model or ())
+    done, lights, figures = _calibrate_all(
+        sessions,
+        board,
+        extras,
+        models=models,
+        board_shape=board_shape,
+        compensate_phases=not raw_phases,
+        held_out=held_out,
+        known_mm=None if baseline is None else (baseline, baseline_sigma),
+        earlier=tuple(earlier or ()),
+        report=report,
+    )
+    write_json(json, figures)
+    _say(messages_on_rig(done))
+    if lights is not None:
+        _say(messages_on_lights(lights))
+    _say_where(report)
+    done.gates.refuse()
+    _write(done, lights, asked, figures, out, opencv, force=force)
+
+
+def _lights(
+    spheres: Path | None,
+    white: Path | None,
+    radius_mm: float | None,
+    circles: list[str] | None,
+    white_pixel: tuple[float, float] | None,
+    albedo: float,
+    mosaic: BayerPattern | None,
+    position: str | None,
+    lamps_for: list[Path] | None,
+) -> LightsAsked | None:
+    from workstation.calibration_extras import LightsAsked
+    from workstation.light_calibration import LightOptions
+
+    if spheres is None:
+        if white is not None or radius_mm is not None or circles or lamps_for:
+            raise typer.BadParameter("--white, --sphere-radius, --sphere and --lamps-for go with "
+                                     "--spheres")  # fmt: skip
+        return None
+    if radius_mm is None:
+        raise typer.BadParameter("name the spheres' radius", param_hint="--sphere-radius")
+    options = LightOptions(
+        sphere_mm=radius_mm,
+        spheres_px=tuple(_circle(text) for text in circles or ()),
+        target_px=white_pixel,
+        albedo=albedo,
+        mosaic=mosaic,
+        place=position,
+    )
+    return LightsAsked(spheres, white, options, tuple(lamps_for or ()))
+
+
+def _circle(text: str) -> tuple[float, float, float]:
+    try:
+        column, row, radius = map(float, text.split(","))
+    except ValueError:
+        raise typer.BadParameter(
+            f"takes column, row and radius in pixels, 400,300,60 say, not {text!r}",
+            param_hint="--sphere",
+        ) from None
+    return column, row, radius
+
+
+def _calibrate_all(
+    sessions: list[Path],
+    board: Chessboard,
+    extras: Extras,
+    *,
+    models: tuple[str, ...],
+    board_shape: bool,
+    compensate_phases: bool,
+    held_out: int,
+    known_mm: tuple[float, float] | None,
+    earlier: tuple[Path, ...],
+    report: Path | None,
+) -> tuple[CalibratedRig, CalibratedLights | None, dict[str, Any]]:
+    from calibration.procam import OPENCV_MODELS, ProcamOptions
+    from workstation.board_poses import find_sessions, measure_poses
+    from workstation.calibration_figures import calibration_figures
+    from workstation.calibration_report import write_report
+    from workstation.progress import progress
+    from workstation.rig_calibration import calibrate_rig
+
     found = find_sessions(sessions)
-    with progress("calibrating", total=len(found) + 3 + (report is not None)) as steps:
+    steps_of_lights = 3 if extras.lights is not None else 0
+    total = len(found) + 3 + (report is not None) + steps_of_lights
+    with progress("calibrating", total=total) as steps:
 
         def begin(stage: str) -> None:
             steps.advance()
             steps.begin(stage)
 
-        poses = measure_poses(found, board, compensate_phases=not raw_phases, begin=begin)
+        poses = measure_poses(found, board, compensate_phases=compensate_phases, begin=begin)
         done = calibrate_rig(
             poses,
-            options=ProcamOptions(models=models, board_shape=board_shape),
-            distances=lambda rig: _distances(rig, baseline, baseline_sigma),
-            earlier=tuple(earlier or ()),
+            options=ProcamOptions(models=models or OPENCV_MODELS, board_shape=board_shape),
+            distances=lambda rig: _distances(rig, known_mm),
+            earlier=earlier,
+            held_out=held_out,
             begin=begin,
         )
         figures = calibration_figures(done)
+        lights = None
+        if extras.lights is not None and done.gates.passed:
+            lights = extras.lights.calibrate(done.calibration.rig, begin=begin)
+            figures |= {"light_arm": lights.figures()}
         if report is not None:
             begin("writing the report")
-            write_report(done, report, sections=ReportSections())
-    write_json(json, figures)
-    _say(done, report)
-    done.gates.refuse()
-    _write(done, out, opencv, force=force)
+            write_report(done, report, sections=extras.sections(lights), figures=figures)
+    return done, lights, figures
+
+
+def _calibrate_lights_alone(
+    rig: Path, extras: Extras, out: Path | None, report: Path | None, *, force: bool
+) -> dict[str, Any]:
+    from acquisition.atomic_files import folder_in_progress
+    from calibration.rig_geometry import RigGeometry
+    from workstation.calibration_messages import messages_on_lights
+    from workstation.calibration_report import write_light_report
+    from workstation.progress import progress
+
+    assert extras.lights is not None  # by the check of the options
+    with progress("calibrating the lights", total=4) as steps:
+
+        def begin(stage: str) -> None:
+            steps.advance()
+            steps.begin(stage)
+
+        lights = extras.lights.calibrate(RigGeometry.load(rig), begin=begin)
+        figures = {"light_arm": lights.figures()}
+        if report is not None:
+            write_light_report(lights, extras.sections(lights), report)
+    if out is not None:
+        with folder_in_progress(out, replace=force) as folder:
+            extras.lights.write(lights, folder)
+        typer.echo(f"{out}: calibration of the light arm")
+    _say(messages_on_lights(lights))
+    _say_where(report)
+    return figures
 
 
 def _check_outputs(out: Path | None, opencv: Path | None, *, force: bool) -> None:
@@ -176,50 +381,49 @@ def _model_name(name: str) -> str:
     return name if name.startswith("LENSMODEL_") else f"LENSMODEL_{name.upper()}"
 
 
-def _distances(rig: RigGeometry, known: float | None, sigma: float) -> list[KnownDistance]:
+def _distances(rig: RigGeometry, baseline_mm: tuple[float, float] | None) -> list[KnownDistance]:
     import numpy as np
 
     from calibration.gates import KnownDistance
 
-    if known is None:
+    if baseline_mm is None:
         return []
-    return [KnownDistance(float(np.linalg.norm(rig.rt_proj_cam[3:])), known, sigma)]
+    return [KnownDistance(float(np.linalg.norm(rig.rt_proj_cam[3:])), *baseline_mm)]
 
 
-def _write(done: CalibratedRig, out: Path | None, opencv: Path | None, *, force: bool) -> None:
+def _write(
+    done: CalibratedRig,
+    lights: CalibratedLights | None,
+    asked: LightsAsked | None,
+    figures: dict[str, Any],
+    out: Path | None,
+    opencv: Path | None,
+    *,
+    force: bool,
+) -> None:
     from acquisition.atomic_files import folder_in_progress
-    from workstation.calibration_figures import FIGURES_FILE, calibration_figures
+    from workstation.calibration_figures import FIGURES_FILE
     from workstation.json_output import write_json
 
     if out is not None:
         with folder_in_progress(out, replace=force) as folder:
             done.calibration.save(folder)
-            write_json(folder / FIGURES_FILE, calibration_figures(done))
+            if lights is not None and asked is not None:
+                asked.write(lights, folder)
+            write_json(folder / FIGURES_FILE, figures)
         typer.echo(f"{out}: calibration of the rig")
     if opencv is not None:
         done.calibration.save_opencv(opencv)
         typer.echo(f"{opencv}: for OpenCV")
 
 
-def _say(done: CalibratedRig, report: Path | None) -> None:
-    calibration = done.calibration
-    solution = calibration.solution
-    typer.echo(
-        f"{len(calibration.views)} poses, {int(solution.inliers.sum())} corners, "
-        f"{calibration.rig.camera.model}: {solution.rms_per_point_px:.3f} px per point at "
-        f"{calibration.working_distance_mm:.0f} mm"
-    )
-    if done.heights is not None:
-        typer.echo(
-            f"heights by this calibration are uncertain by {1000 * done.heights.rms_mm:.1f} µm "
-            f"about their plane, lengths by {100 * done.heights.scale_sigma:.3f} %"
-        )
-    for pose in done.poses.unread:
-        typer.echo(f"warning: {pose.name} was left out: {pose.why}", err=True)
-    for corner in calibration.rejected_corners:
-        typer.echo(f"warning: left out {corner}", err=True)
-    for verdict in done.gates.failures:
-        if not verdict.refuses:
-            typer.echo(f"warning: {verdict.gate}: {verdict.remedy}", err=True)
+def _say_where(report: Path | None) -> None:
     if report is not None:
         typer.echo(f"look at {report / 'index.html'}")
+
+
+def _say(messages: Messages) -> None:
+    for line in messages.said:
+        typer.echo(line)
+    for warning in messages.warnings:
+        typer.echo(f"warning: {warning}", err=True)
