@@ -21,6 +21,7 @@ from acquisition.atomic_files import folder_in_progress
 from fitting.digital_copy import DigitalCopy, ReflectanceMaps, ReflectanceQuality
 from fitting.errors import CopyError, FittingError
 from fitting.height_field import HeightField
+from fitting.map_rounding import MapRounding
 from fitting.reflectance.microfacet import MicrofacetMaps
 from fitting.relief import Relief, ReliefBoxes
 
@@ -47,6 +48,7 @@ def write_copy(
     *,
     replace: bool = False,
     microfacets: MicrofacetMaps | None = None,
+    exact_maps: bool = False,
     beside: Callable[[Path], None] = lambda folder: None,
 ) -> None:
     """Write a digital copy, whole or not at all.
@@ -60,6 +62,9 @@ def write_copy(
         Whether a copy that is there already is replaced.
     microfacets : MicrofacetMaps, optional
         The reflectance as other viewers take it, for ``ggx.exr``.
+    exact_maps : bool
+        Whether maps keep every bit that the files have room for, instead of those alone that their
+        standard errors leave a meaning (:mod:`fitting.map_rounding`).
     beside : callable, optional
         Writes further files into the copy's folder before it appears.
 
@@ -71,6 +76,8 @@ def write_copy(
     """
     path = Path(path)
     check_destination(path, replace=replace)
+    rounding = None if exact_maps else MapRounding.of(copy)
+    copy = copy if rounding is None else rounding.applied(copy)
     field = copy.height_field
     with folder_in_progress(path, replace=replace) as folder:
         relief: dict[str, NDArray[Any]] = {
@@ -88,7 +95,8 @@ def write_copy(
         if microfacets is not None:
             _write_microfacets(folder / MICROFACET_FILE, microfacets)
         beside(folder)
-        (folder / COPY_FILE).write_text(json.dumps(_header(copy), indent=1, allow_nan=False))
+        header = _header(copy) | {"rounding": None if rounding is None else rounding.as_json()}
+        (folder / COPY_FILE).write_text(json.dumps(header, indent=1, allow_nan=False))
 
 
 def check_destination(path: Path, *, replace: bool) -> None:
