@@ -138,6 +138,7 @@ class PaintingMaterial(pyrender.Material):
             "height_range": field.height_range_mm,
             "delta0": copy.relief.delta0_mm,
             "texel": field.pitch_mm,
+            "shadow_lift": shadow_lift_mm(copy),
         }
 
     @cached_property
@@ -201,6 +202,16 @@ class PaintingMaterial(pyrender.Material):
     def is_transparent(self) -> bool:
         """Never: gaps are cut out, not blended."""
         return False
+
+
+def shadow_lift_mm(copy: DigitalCopy) -> float:
+    """Height over the surface from which light is looked for: noise of the scan casts no shadow.
+
+    Three standard deviations of a height, the median over the copy, and a hair for rounding, mm.
+    """
+    field = copy.height_field
+    sigma = float(np.sqrt(np.median(field.variance[field.mask])))
+    return 3 * sigma + 1e-3 * field.pitch_mm
 
 
 def mipmaps(values: NDArray[np.float32]) -> list[NDArray[np.float32]]:

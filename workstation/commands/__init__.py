@@ -9,6 +9,7 @@ from workstation.commands import (
     calibrate,
     demo,
     devices,
+    gallery,
     import_capture,
     photograph,
     process,
@@ -31,6 +32,7 @@ _COMMANDS = (
     import_capture,
     process,
     render,
+    gallery,
     report,
     bench,
 )

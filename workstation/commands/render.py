@@ -75,8 +75,8 @@ def render(
     from workstation.json_output import write_json
     from workstation.progress import progress
 
-    width, height = _parse_size(size)
-    lamp, modes = _parse_light(light), _parse_modes(mode)
+    width, height = parse_size(size)
+    lamp, modes = parse_light(light), _parse_modes(mode)
     views = [str(name) for name in NamedView] if view == ALL else [view]
     single = ALL not in (mode, view)
     if single:
@@ -122,15 +122,23 @@ def render(
     write_json(json, figures)
 
 
+def parse_mode(mode: str) -> Mode:
+    """A mode by its name; another text is an error of usage."""
+    from render.painting_node import Mode
+
+    if mode not in list(Mode):
+        raise typer.BadParameter(f"{mode!r} is none of {', '.join(Mode)}", param_hint="--mode")
+    return Mode(mode)
+
+
 def _parse_modes(mode: str) -> list[Mode]:
     from render.painting_node import Mode
 
-    if mode != ALL and mode not in list(Mode):
-        raise typer.BadParameter(f"{mode!r} is none of {', '.join(Mode)}", param_hint="--mode")
-    return list(Mode) if mode == ALL else [Mode(mode)]
+    return list(Mode) if mode == ALL else [parse_mode(mode)]
 
 
-def _parse_light(light: str) -> Light:
+def parse_light(light: str) -> Light:
+    """The lamp of ``az,el`` or ``az,el,dist`` in degrees and mm; else an error of usage."""
     from render.painter import Light
     from render.views import parse_numbers
 
@@ -144,7 +152,8 @@ def _parse_light(light: str) -> Light:
     )
 
 
-def _parse_size(size: str) -> tuple[int, int]:
+def parse_size(size: str) -> tuple[int, int]:
+    """Width and height of ``WIDTHxHEIGHT``; another text is an error of usage."""
     parts = size.lower().split("x")
     if len(parts) != 2 or not all(part.isdecimal() and int(part) > 0 for part in parts):
         raise typer.BadParameter(f"{size!r} is not WIDTHxHEIGHT", param_hint="--size")

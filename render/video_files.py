@@ -1,0 +1,76 @@
+"""Pictures one after another as a video, in what OpenCV's build can encode."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from render.errors import RenderError
+
+# MPEG-4 first; Motion JPEG is in every build, and larger.
+_CODECS = ((".mp4", "mp4v"), (".avi", "MJPG"))
+
+
+class VideoFile:
+    """A video being written.
+
+    Attributes
+    ----------
+    path : Path
+        Its suffix is that of the codec there is.
+    """
+
+    def __init__(self, path: Path, writer: cv2.VideoWriter, size: tuple[int, int]) -> None:
+        self.path = path
+        self._writer = writer
+        self._size = size
+
+    def add(self, picture: NDArray[np.uint8]) -> None:
+        """Append a picture, (rows, cols, 3) uint8 sRGB; an odd row or column is left out."""
+        width, height = self._size
+        if picture.shape[0] < height or picture.shape[1] < width:
+            raise RenderError(f"{self.path}: pictures of one size make a video")
+        self._writer.write(np.ascontiguousarray(picture[:height, :width, ::-1]))
+
+
+@contextmanager
+def video_file(
+    folder: Path, stem: str, *, width: int, height: int, fps: float
+) -> Iterator[VideoFile]:
+    """Write a video into a folder while the block runs.
+
+    Parameters
+    ----------
+    folder : Path
+    stem : str
+        File name without the suffix, which is the codec's.
+    width, height : int
+        Of the pictures; codecs take even numbers only.
+    fps : float
+        Pictures per second.
+
+    Raises
+    ------
+    RenderError
+        This OpenCV encodes neither MPEG-4 nor Motion JPEG.
+    """
+    size = (max(width // 2 * 2, 2), max(height // 2 * 2, 2))
+    for suffix, codec in _CODECS:
+        path = folder / f"{stem}{suffix}"
+        writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), fps, size)
+        if writer.isOpened():
+            break
+        path.unlink(missing_ok=True)
+    else:
+        raise RenderError("this OpenCV can write no video; leave out --video and join the frames")
+    try:
+        yield VideoFile(path, writer, size)
+    finally:
+        writer.release()
+    if not path.stat().st_size:
+        raise RenderError(f"{path}: the video could not be written; is the disk full?")

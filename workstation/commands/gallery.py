@@ -1,0 +1,100 @@
+"""``impasto gallery``: a walk along a wall of framed copies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from workstation.commands.render import parse_mode, parse_size
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("gallery")(gallery)
+
+
+def gallery(
+    copies: Annotated[
+        list[Path],
+        typer.Argument(metavar="COPY...", help="Folders of digital copies, from left to right."),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder to make for the frames.")],
+    frames: Annotated[int, typer.Option(min=1, help="Frames of the walk.")] = 120,
+    size: Annotated[str, typer.Option(metavar="WxH", help="Frame size in pixels.")] = "1280x720",
+    mode: Annotated[
+        str, typer.Option(help="mesh, bump, relief, hybrid, adaptive, exact or bounded.")
+    ] = "bounded",
+    budget: Annotated[
+        float, typer.Option(help="Parallax that bounded may leave, in pixels.")
+    ] = 0.25,
+    exposure: Annotated[float, typer.Option(help="Factor on the radiance.")] = 1.0,
+    video: Annotated[
+        bool, typer.Option("--video", help="Write a video beside the frames.")
+    ] = False,
+    fps: Annotated[float, typer.Option(min=1, max=240, help="Of the video.")] = 24.0,
+    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write figures here.")] = None,
+) -> None:
+    """Render a walk along a wall of framed copies, each under a lamp of its own.
+
+    Frames are frame_0001.png and on; the folder appears when all are there.
+
+    Example:
+
+        impasto gallery harbour/ portrait/ --out walk/ --frames 240 --video
+    """
+    import time
+    from contextlib import ExitStack
+
+    from acquisition.atomic_files import folder_in_progress
+    from fitting.copy_files import read_copy
+    from render.errors import RenderError
+    from render.gallery import Gallery, Hanging
+    from render.painter import Painter
+    from render.picture_files import write_picture
+    from render.video_files import video_file
+    from workstation.json_output import write_json
+    from workstation.progress import progress
+
+    width, height = parse_size(size)
+    shown = parse_mode(mode)
+    if out.exists():
+        raise RenderError(f"{out} exists already; choose another place, or remove it first")
+    room = Gallery(
+        [Hanging(read_copy(copy), _title(copy)) for copy in copies],
+        mode=shown,
+        budget_px=budget,
+    )
+    figures = []
+    film = None
+    with (
+        Painter() as painter,
+        progress("walking", total=frames) as steps,
+        folder_in_progress(out) as folder,
+        ExitStack() as stack,
+    ):
+        if video:
+            film = stack.enter_context(
+                video_file(folder, "walk", width=width, height=height, fps=fps)
+            )
+        for number in range(frames):
+            steps.begin(f"frame {number + 1}")
+            started = time.perf_counter()
+            share = number / (frames - 1) if frames > 1 else 0.5
+            picture = room.paint(painter, share, width=width, height=height)
+            file = f"frame_{number + 1:04d}.png"
+            write_picture(picture, folder / file, exposure=exposure)
+            if film is not None:
+                film.add(picture.encoded(exposure=exposure))
+            seconds = round(time.perf_counter() - started, 4)
+            figures.append({"frame": file, "seconds": seconds})
+            steps.advance()
+    typer.echo(str(out))
+    write_json(json, {"frames": figures, "video": film.path.name if film else None})
+
+
+def _title(copy: Path) -> str:
+    """Name of a copy's folder, or of the one above where it is called copy, as ours are."""
+    place = copy.resolve()
+    return place.parent.name if place.name == "copy" else place.name
