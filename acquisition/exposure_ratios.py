@@ -20,13 +20,15 @@ from acquisition.errors import DecodingError
 from acquisition.frame_files import Samples
 from acquisition.sample_noise import SampleNoise
 
-# Edge of a block; even, so that a mosaic's colours weigh the same in every block.
+# Edge of a block, in samples of one colour of a mosaic: every second one both ways.
 _BLOCK = 8
 # Blocks that a line needs.
 _LEAST_BLOCKS = 30
 # Share of the range up to the ceiling that samples may reach: sensors bend just below it.
 _HEADROOM = 0.95
 _ITERATIONS = 30
+# Standard errors by which the scatter of blocks exceeds what noise alone would give, for a ratio.
+_SIGNIFICANT = 6.0
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,7 @@ def estimate_exposures(
     ------
     DecodingError
         Exposures that are not positive or occur twice, or two neighbouring ones that have too
-        little in common that is neither dark nor saturated.
+        little in common that is neither dark nor saturated, or is all of one grey.
     """
     nominal = np.asarray(nominal_s, np.float64)
     if not frames or len(frames) != len(nominal):
@@ -117,9 +119,13 @@ def estimate_exposures(
                 f"exposures of {nominal[longer]:g} s and {nominal[shorter]:g} s have too little in "
                 "common that is neither dark nor saturated; take one in between"
             )
-        line = fit_york_line(
-            *blocks, *(noise.variance(block - black_level) / _BLOCK**2 for block in blocks)
-        )
+        variances = [noise.variance(block - black_level) / _BLOCK**2 for block in blocks]
+        if not all(map(_is_more_than_noise, blocks, variances)):
+            raise DecodingError(
+                f"exposures of {nominal[longer]:g} s and {nominal[shorter]:g} s have one grey in "
+                "common, which tells no ratio; take pictures of something with light and shade"
+            )
+        line = fit_york_line(*blocks, *variances)
         exposures[shorter] = exposures[longer] / line.slope
         relative[shorter] = np.hypot(relative[longer], line.slope_error / line.slope)
         # Without light both exposures read black: the line meets the diagonal there.
@@ -200,21 +206,29 @@ def measure_saturation_level(frames: list[Samples]) -> int | None:
     return int(top - reach + pile[0]) if len(pile) else None
 
 
+def _is_more_than_noise(block: NDArray[np.float64], variance: NDArray[np.float64]) -> bool:
+    """Whether means of blocks differ by more than their noise makes them."""
+    expected = float(variance.mean()) * (1 + _SIGNIFICANT * np.sqrt(2 / block.size))
+    return float(block.var()) > expected
+
+
 def _blocks_in_common(
     short: Samples, long: Samples, black: float, saturation: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Means of the blocks that are well exposed in both pictures, in sensor numbers.
 
-    A block is judged by its brightest sample, whose noise is a small part of the mean's.
+    Blocks are of one colour of a mosaic each, so that one which is saturated leaves the others. A
+    block is judged by its brightest sample, whose noise is a small part of the mean's.
     """
-    rows, cols = (n // _BLOCK for n in short.shape)
-
-    def blocks(frame: Samples) -> NDArray[np.generic]:
-        cut = frame[: rows * _BLOCK, : cols * _BLOCK]
-        return cut.reshape(rows, _BLOCK, cols, _BLOCK).swapaxes(1, 2).reshape(-1, _BLOCK**2)
-
     if long.shape != short.shape:
         raise DecodingError(f"frames of one bracket differ in size: {short.shape}, {long.shape}")
+    rows, cols = (n // (2 * _BLOCK) for n in short.shape)
+
+    def blocks(frame: Samples) -> NDArray[np.generic]:
+        cut = frame[: rows * 2 * _BLOCK, : cols * 2 * _BLOCK]
+        colours = cut.reshape(rows, _BLOCK, 2, cols, _BLOCK, 2)
+        return colours.transpose(0, 3, 2, 5, 1, 4).reshape(-1, _BLOCK**2)
+
     if rows * cols == 0:
         return np.empty(0), np.empty(0)
     brightest = blocks(long).max(axis=1)

@@ -33,6 +33,8 @@ _ZLIB_HEADER = b"\x78\x01"
 # Level 1 takes as long and leaves 1.5 % more; 3 takes a third longer and leaves 1.5 % less.
 _LEVEL = 2
 _STRIPS = 2
+# Of compressed bytes in one chunk of the file: readers refuse longer ones, or warn of them.
+_CHUNK_BYTES = 2**22
 # Rows that tell which neighbour is more alike, about.
 _ROWS = 64
 
@@ -63,7 +65,8 @@ def encode_frame(image: Samples, *, name: str) -> bytes:
     content = (
         _ZLIB_HEADER + b"".join(_deflate(filtered)) + struct.pack(">I", zlib.adler32(filtered.data))
     )
-    parts = ((b"IHDR", header), (b"IDAT", content), (b"IEND", b""))
+    pieces = (content[i : i + _CHUNK_BYTES] for i in range(0, len(content), _CHUNK_BYTES))
+    parts = ((b"IHDR", header), *((b"IDAT", piece) for piece in pieces), (b"IEND", b""))
     return _SIGNATURE + b"".join(_chunk(kind, part) for kind, part in parts)
 
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from acquisition.errors import DecodingError
 from acquisition.frame_files import Samples
-from acquisition.sample_noise import SampleNoise
+from acquisition.sample_noise import QUANTISATION_VARIANCE, SampleNoise
 
 # Estimates of the weights: the first is free of bias, the second sharp in the dark as well.
 _ITERATIONS = 2
@@ -97,7 +97,8 @@ def merge_bracket(
     _merge(
         stack,
         times[order],
-        noise.read_variance,
+        # Samples are whole numbers.
+        max(noise.read_variance, QUANTISATION_VARIANCE),
         noise.gain,
         black_level,
         float(saturation_level),

@@ -12,12 +12,15 @@ before there were seals are read without; once a line is sealed, all after it ar
 from __future__ import annotations
 
 import contextlib
+import errno
+import fcntl
 import os
 import re
 import zlib
+from collections.abc import Iterable
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import IO, Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
@@ -52,10 +55,15 @@ class _Event(BaseModel):
 
 
 class Start(_Event):
-    """Recording began, or began again."""
+    """Recording began, or began again.
+
+    ``files`` are the digests of what the session began with, by path: until there is a manifest,
+    nothing else tells whether they were altered.
+    """
 
     event: Literal["start"] = "start"
     resumed: bool = False
+    files: dict[str, str] | None = None
 
 
 class FrameRecorded(_Event):
@@ -160,6 +168,49 @@ def read_journal(path: Path) -> list[AnyEvent]:
                 "it was recorded, take it from a backup"
             ) from None
     return events
+
+
+def settled_frames(
+    events: Iterable[AnyEvent],
+) -> tuple[dict[str, FrameRecorded], dict[str, FrameSkipped]]:
+    """Frames that a journal says were recorded, and those that were skipped, by id.
+
+    A frame that was lost is settled anew: what was said last of it holds.
+    """
+    recorded: dict[str, FrameRecorded] = {}
+    skipped: dict[str, FrameSkipped] = {}
+    for event in events:
+        if isinstance(event, FrameRecorded):
+            recorded[event.id] = event
+            skipped.pop(event.id, None)
+        elif isinstance(event, FrameSkipped):
+            skipped[event.id] = event
+            recorded.pop(event.id, None)
+    return recorded, skipped
+
+
+def lock_journal(path: Path) -> IO[bytes]:
+    """Keep others from recording to the same session, until what is returned is closed.
+
+    The lock goes with the process, however that ends. A disk that knows no locks has none.
+
+    Raises
+    ------
+    SessionError
+        Somebody else holds it.
+    OSError
+        There is no journal, or it cannot be written.
+    """
+    file = open(path, "r+b", buffering=0)  # noqa: SIM115 - whoever records closes it
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno in (errno.EWOULDBLOCK, errno.EACCES):
+            file.close()
+            raise SessionError(
+                f"{path.parent} is being recorded by another process; wait for its end, or stop it"
+            ) from None
+    return file
 
 
 class _BrokenSealError(Exception):

@@ -9,10 +9,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from acquisition.errors import SessionError
-from acquisition.journal import FrameRecorded, FrameSkipped, Stop, StopReason, read_journal
+from acquisition.journal import FrameRecorded, Stop, StopReason, read_journal, settled_frames
 from acquisition.patterns import Pattern, describe, pattern_image
 from acquisition.plan import Plan, PlannedFrame
-from acquisition.session import JOURNAL_FILE, RIG_FILE, Session, read_plan
+from acquisition.session import JOURNAL_FILE, RIG_FILE, Session, check_beginning, read_plan
 from devices.interfaces import (
     ArmCapabilities,
     ArmLimits,
@@ -56,13 +56,8 @@ def open_for_replay(path: Path) -> Session:
     events = read_journal(path / JOURNAL_FILE)
     if any(isinstance(e, Stop) and e.reason is StopReason.SUCCESS for e in events):
         return Session.open(path)
-    return Session(
-        path,
-        plan,
-        "",
-        {e.id: e for e in events if isinstance(e, FrameRecorded)},
-        {e.id: e for e in events if isinstance(e, FrameSkipped)},
-    )
+    check_beginning(path, events)
+    return Session(path, plan, "", *settled_frames(events))
 
 
 def rig_toml(session: Session) -> str | None:

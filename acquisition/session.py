@@ -17,7 +17,16 @@ from pydantic import ValidationError
 
 from acquisition.errors import SessionError
 from acquisition.frame_files import SUFFIX, Samples, decode_frame
-from acquisition.journal import FrameRecorded, FrameSkipped, Stop, StopReason, read_journal
+from acquisition.journal import (
+    AnyEvent,
+    FrameRecorded,
+    FrameSkipped,
+    Start,
+    Stop,
+    StopReason,
+    read_journal,
+    settled_frames,
+)
 from acquisition.plan import Plan, PlannedFrame, Purpose
 
 PLAN_FILE = "plan.json"
@@ -71,8 +80,7 @@ class Session:
             raise SessionError(f"{path}: no such session folder")
         plan = read_plan(path)
         events = read_journal(path / JOURNAL_FILE)
-        recorded = {e.id: e for e in events if isinstance(e, FrameRecorded)}
-        skipped = {e.id: e for e in events if isinstance(e, FrameSkipped)}
+        recorded, skipped = settled_frames(events)
         last = events[-1] if events else None
         if not (isinstance(last, Stop) and last.reason is StopReason.SUCCESS):
             state = f"{last.reason}: {last.why}" if isinstance(last, Stop) else "cut off"
@@ -195,6 +203,33 @@ def files_of_session(path: Path) -> set[str]:
     return {file.relative_to(path).as_posix() for file in path.rglob("*") if file.is_file()}
 
 
+def digests_of(path: Path) -> dict[str, str]:
+    """SHA-256 of every file below a session folder that the manifest covers, by its path."""
+    return {
+        name: hashlib.sha256((path / name).read_bytes()).hexdigest()
+        for name in sorted(files_of_session(path) - _UNCOVERED)
+    }
+
+
+def check_beginning(path: Path, events: Iterable[AnyEvent]) -> None:
+    """Compare plan, rig and calibration of a session that has no manifest yet with its journal.
+
+    Raises
+    ------
+    SessionError
+        One of them was altered or is missing.
+    """
+    begun = next((e.files for e in events if isinstance(e, Start) and e.files), {})
+    for name, digest in begun.items():
+        file = path / name
+        if not file.is_file():
+            raise SessionError(f"{file} is missing: take it from a backup")
+        if hashlib.sha256(file.read_bytes()).hexdigest() != digest:
+            raise SessionError(
+                f"{file}: altered since the recording began (digest differs); take it from a backup"
+            )
+
+
 def manifest_text(path: Path, recorded: Iterable[FrameRecorded]) -> str:
     """Manifest of a session folder: a digest and a path per line, sorted by path.
 
@@ -215,7 +250,8 @@ def manifest_text(path: Path, recorded: Iterable[FrameRecorded]) -> str:
 
 def _read_manifest(file: Path) -> dict[str, str]:
     try:
-        lines = file.read_text().splitlines()
+        # Not read_text, to which other bytes than a newline are ends of lines too.
+        *lines, rest = file.read_bytes().decode().split("\n")
     except FileNotFoundError:
         raise SessionError(
             f"{file} is missing though the recording finished: the session was damaged, take it "
@@ -223,11 +259,13 @@ def _read_manifest(file: Path) -> dict[str, str]:
         ) from None
     except UnicodeDecodeError:
         raise SessionError(f"{file}: not a text file") from None
-    entries = {}
+    if rest:
+        raise SessionError(f"{file}: its last line is torn; take it from a backup")
+    entries: dict[str, str] = {}
     for number, line in enumerate(lines, start=1):
         digest, separator, name = line.partition("  ")
-        if not separator or len(digest) != 64:
-            raise SessionError(f"{file}, line {number}: not a digest and a path")
+        if not separator or len(digest) != 64 or name in entries:
+            raise SessionError(f"{file}, line {number}: not a digest and a path of its own")
         entries[name] = digest
     return entries
 

@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
+from typing import IO
 
 from acquisition.atomic_files import folder_in_progress, remove_leftovers, write_bytes
 from acquisition.errors import SessionError
@@ -26,7 +27,9 @@ from acquisition.journal import (
     Stop,
     StopReason,
     append_event,
+    lock_journal,
     read_journal,
+    settled_frames,
 )
 from acquisition.plan import Plan
 from acquisition.session import (
@@ -37,6 +40,8 @@ from acquisition.session import (
     PLAN_FILE,
     RIG_FILE,
     Session,
+    check_beginning,
+    digests_of,
     frame_file,
     manifest_text,
     read_plan,
@@ -59,11 +64,14 @@ class SessionWriter:
         plan: Plan,
         recorded: dict[str, FrameRecorded],
         skipped: dict[str, FrameSkipped],
+        *,
+        lock: IO[bytes],
     ) -> None:
         self._path = path
         self._plan = plan
         self._recorded = recorded
         self._skipped = skipped
+        self._lock = lock
         self._open = True
 
     @classmethod
@@ -106,8 +114,10 @@ class SessionWriter:
             if calibration is not None:
                 _copy_files(calibration, begun / CALIBRATION_FOLDER)
             write_bytes(begun / PLAN_FILE, plan.model_dump_json(indent=1).encode())
-            append_event(begun / JOURNAL_FILE, Start(**_now()))
-        return cls(path, plan, {}, {})
+            append_event(begun / JOURNAL_FILE, Start(**_now(), files=digests_of(begun)))
+            # The lock stays with the file when the folder gets its name.
+            lock = lock_journal(begun / JOURNAL_FILE)
+        return cls(path, plan, {}, {}, lock=lock)
 
     @classmethod
     def resume(cls, path: Path) -> SessionWriter:
@@ -116,26 +126,27 @@ class SessionWriter:
         Raises
         ------
         SessionError
-            No plan or journal, a damaged journal, a session that is complete, or one that cannot be
-            written.
+            No plan or journal, one that was damaged, a session that is complete, that is being
+            recorded, or that cannot be written.
         """
         path = Path(path)
         plan = read_plan(path)
-        events = read_journal(path / JOURNAL_FILE)
-        if any(isinstance(e, Stop) and e.reason is StopReason.SUCCESS for e in events):
-            raise SessionError(f"{path}: the recording is complete, there is nothing to resume")
-        recorded = {}
-        for event in events:
-            if isinstance(event, FrameRecorded):
-                file = path / event.file
-                # A frame whose file was lost or altered since is taken again.
-                if file.is_file() and _sha256(file.read_bytes()) == event.sha256:
-                    recorded[event.id] = event
-        skipped = {event.id: event for event in events if isinstance(event, FrameSkipped)}
-        with _explaining(path, _STAYS_VALID):
+        journal = path / JOURNAL_FILE
+        if not journal.exists():
+            read_journal(journal)  # says what that means
+        with _explaining(path, _STAYS_VALID), contextlib.ExitStack() as locked:
+            lock = locked.enter_context(lock_journal(journal))
+            events = read_journal(journal)
+            if any(isinstance(e, Stop) and e.reason is StopReason.SUCCESS for e in events):
+                raise SessionError(f"{path}: the recording is complete, there is nothing to resume")
+            check_beginning(path, events)
+            acknowledged, skipped = settled_frames(events)
+            # A frame whose file was lost or altered since is taken again.
+            recorded = {e.id: e for e in acknowledged.values() if _is_there(path, e)}
             _remove_unacknowledged(path, recorded)
-            append_event(path / JOURNAL_FILE, Start(**_now(), resumed=True))
-        return cls(path, plan, recorded, skipped)
+            append_event(journal, Start(**_now(), resumed=True))
+            locked.pop_all()
+        return cls(path, plan, recorded, skipped, lock=lock)
 
     @property
     def path(self) -> Path:
@@ -283,10 +294,12 @@ class SessionWriter:
             # A disk that is full may take no last line either; what is told is the first failure.
             with contextlib.suppress(OSError):
                 self._stop(reason, str(error) if error else "left before the end")
+        self._lock.close()
 
     def _stop(self, reason: StopReason, why: str) -> None:
         self._append(Stop(**_now(), reason=reason, why=why))
         self._open = False
+        self._lock.close()
 
     def _append(self, event: AnyEvent) -> None:
         append_event(self._path / JOURNAL_FILE, event)
@@ -311,6 +324,12 @@ def _copy_files(source: Path, destination: Path) -> None:
     for file in sorted(source.iterdir()):
         if file.is_file():
             write_bytes(destination / file.name, file.read_bytes())
+
+
+def _is_there(path: Path, entry: FrameRecorded) -> bool:
+    """Whether a frame's file is what was written."""
+    file = path / entry.file
+    return file.is_file() and _sha256(file.read_bytes()) == entry.sha256
 
 
 def _remove_unacknowledged(path: Path, recorded: dict[str, FrameRecorded]) -> None:

@@ -65,6 +65,29 @@ def test_the_file_is_one_zlib_stream_with_its_checksums():
     assert kinds == [b"IHDR", b"IDAT", b"IEND"]
 
 
+def test_large_frames_come_in_chunks_that_every_reader_takes(tmp_path, monkeypatch):
+    monkeypatch.setattr("acquisition.frame_files._CHUNK_BYTES", 1000)
+    picture = np.random.default_rng(0).integers(0, 65536, (50, 61)).astype(np.uint16)
+    content = encode_frame(picture, name="a")
+    lengths, place = [], 8
+    while place < len(content):
+        lengths.append(struct.unpack_from(">I", content, place)[0])
+        place += 12 + lengths[-1]
+    assert len(lengths) == 2 + 7
+    assert max(lengths) == 1000
+    np.testing.assert_array_equal(decode_frame(content, path=tmp_path), picture)
+    with Image.open(io.BytesIO(content)) as read:
+        np.testing.assert_array_equal(np.array(read), picture)
+
+
+def test_nothing_warns_of_noise_that_fills_a_large_frame(tmp_path, capfd):
+    picture = np.random.default_rng(0).integers(0, 65536, (1600, 2600)).astype(np.uint16)
+    np.testing.assert_array_equal(
+        decode_frame(encode_frame(picture, name="a"), path=tmp_path), picture
+    )
+    assert capfd.readouterr().err == ""
+
+
 @pytest.mark.parametrize("along_rows", [True, False])
 def test_noisy_fringes_take_no_more_room_than_with_a_general_encoder(along_rows):
     random = np.random.default_rng(1)

@@ -110,6 +110,37 @@ def test_exposures_without_overlap_are_refused():
         estimate_exposures(frames, [0.5, 50.0], **KNOWN)
 
 
+def test_one_colour_of_a_mosaic_that_is_saturated_leaves_the_others():
+    random = np.random.default_rng(0)
+    radiance = scene(random)
+    # Green, twice in each square of four.
+    radiance[0::2, 1::2] *= 1e4
+    radiance[1::2, 0::2] *= 1e4
+    true = np.array([0.85 * 4, 16.0])
+    frames = [expose(radiance, t, random) for t in true]
+    assert (frames[0][0::2, 1::2] == CEILING).all()
+    found = estimate_exposures(frames, [4.0, 16.0], **KNOWN)
+    assert found.exposures_s / true == pytest.approx([1, 1], abs=0.005)
+
+
+@pytest.mark.parametrize("grey", [0.0, 30.0])
+def test_one_grey_tells_no_ratio(grey):
+    for seed in range(5):
+        random = np.random.default_rng(seed)
+        frames = [expose(np.full((160, 240), grey), t, random) for t in (4.0, 16.0)]
+        with pytest.raises(DecodingError, match="one grey in common"):
+            estimate_exposures(frames, [4.0, 16.0], **KNOWN)
+
+
+@pytest.mark.parametrize("gain", [0.0, 0.5])
+def test_a_sensor_said_to_be_without_noise_makes_no_nan(gain):
+    frames = [np.full((2, 2), int(BLACK), np.uint16), np.full((2, 2), int(BLACK) + 8, np.uint16)]
+    silent = KNOWN | {"noise": SampleNoise(0.0, gain, "none")}
+    merged = merge_bracket(frames, [1.0, 4.0], **silent)
+    assert np.isfinite(merged.radiance).all()
+    assert (merged.variance > 0).all()
+
+
 def test_a_york_line_is_not_flattened_by_noise_in_x():
     random = np.random.default_rng(1)
     slopes, errors = [], []

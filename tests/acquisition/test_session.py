@@ -1,15 +1,14 @@
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 from synthetic_scan import expose, fringe_patterns, make_plan
 
 from acquisition.errors import SessionError
-from acquisition.journal import StopReason, read_journal
+from acquisition.journal import SkipReason, StopReason, read_journal
 from acquisition.patterns import Axis
+from acquisition.plan import Bracketing
+from acquisition.recorded_frames import open_for_replay
 from acquisition.session import Session
 from acquisition.session_writer import SessionWriter
 
@@ -53,59 +52,6 @@ def test_frames_come_back_as_recorded(session, plan, frames):
         np.testing.assert_array_equal(opened.read_frame(frame_id), image)
 
 
-def killed_at(fatal, step):
-    """Run ``step`` in a child process that dies at its ``fatal``-th flush or rename, for good."""
-    child = os.fork()
-    if child == 0:
-        calls = 0
-
-        def counted(call):
-            def mortal(*arguments, **keywords):
-                nonlocal calls
-                if calls == fatal:
-                    os._exit(9)
-                calls += 1
-                return call(*arguments, **keywords)
-
-            return mortal
-
-        os.fsync = counted(os.fsync)
-        Path.replace = counted(Path.replace)
-        Path.rename = counted(Path.rename)
-        try:
-            step()
-        finally:
-            os._exit(0)  # whatever happens, this copy of the tests goes no further
-    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 9
-
-
-def test_killed_at_any_flush_or_rename_it_resumes_to_the_same_manifest(
-    session, tmp_path, plan, frames
-):
-    manifest = (session / "manifest.sha256").read_bytes()
-    for fatal in range(100):
-        folder = tmp_path / f"killed-{fatal}"
-        if not killed_at(fatal, lambda f=folder: record_all(f, plan, frames)):
-            break
-        if not folder.exists():
-            with pytest.raises(SessionError, match="not a session"):
-                SessionWriter.resume(folder)
-            record_all(folder, plan, frames)
-        else:
-            # Killed again a little later, and resumed in earnest then.
-            killed_at(3, lambda f=folder: resume_all(f, frames))
-            try:
-                resume_all(folder, frames)
-            except SessionError as error:
-                # Killed after the last line was written but before it was flushed.
-                assert "complete" in str(error)
-        assert (folder / "manifest.sha256").read_bytes() == manifest
-        assert Session.open(folder).digest == Session.open(session).digest
-    # Three files of the beginning, three frames and the manifest at three steps each, and a line
-    # of the journal after each frame, at the beginning and at the end.
-    assert fatal >= 22
-
-
 def test_a_torn_last_line_is_tolerated_a_torn_middle_one_refused(tmp_path, plan, frames):
     writer = SessionWriter.create(tmp_path / "s", plan)
     writer.record("0000", frames["0000"], sequence=1)
@@ -113,8 +59,8 @@ def test_a_torn_last_line_is_tolerated_a_torn_middle_one_refused(tmp_path, plan,
     journal = tmp_path / "s" / "journal.jsonl"
     whole = journal.read_bytes()
     journal.write_bytes(whole[:-20])
-    resumed = SessionWriter.resume(tmp_path / "s")
-    assert resumed.missing == ["0001", "0002"]
+    del writer
+    assert SessionWriter.resume(tmp_path / "s").missing == ["0001", "0002"]
     lines = whole.split(b"\n")
     journal.write_bytes(b"\n".join([lines[0], lines[1][:-9], lines[2], b""]))
     with pytest.raises(SessionError, match="line 2"):
@@ -160,6 +106,7 @@ def test_damage_is_named(session, damage, message):
 def test_a_whole_last_line_without_its_newline_did_not_happen(tmp_path, plan, frames):
     writer = SessionWriter.create(tmp_path / "s", plan)
     writer.record("0000", frames["0000"], sequence=1)
+    del writer
     journal = tmp_path / "s" / "journal.jsonl"
     journal.write_bytes(journal.read_bytes()[:-1])
     resume_all(tmp_path / "s", frames)
@@ -169,9 +116,88 @@ def test_a_whole_last_line_without_its_newline_did_not_happen(tmp_path, plan, fr
 def test_a_frame_lost_while_the_recording_lay_still_is_taken_again(tmp_path, plan, frames):
     writer = SessionWriter.create(tmp_path / "s", plan)
     writer.record("0000", frames["0000"], sequence=1)
+    del writer
     (tmp_path / "s" / "frames" / "0000.png").unlink()
     (tmp_path / "s" / "frames").rmdir()
     assert SessionWriter.resume(tmp_path / "s").missing == ["0000", "0001", "0002"]
+
+
+def test_a_session_is_recorded_by_one_process_at_a_time(tmp_path, plan, frames):
+    with SessionWriter.create(tmp_path / "s", plan) as writer:
+        writer.record("0000", frames["0000"], sequence=1)
+        before = sorted((f, f.stat().st_size) for f in (tmp_path / "s").rglob("*"))
+        with pytest.raises(SessionError, match="is being recorded by another process"):
+            SessionWriter.resume(tmp_path / "s")
+        assert sorted((f, f.stat().st_size) for f in (tmp_path / "s").rglob("*")) == before
+        record_rest(writer, frames)
+    Session.open(tmp_path / "s")
+
+
+@pytest.mark.parametrize("name", ["plan.json", "rig.toml", "calibration/c.cameramodel"])
+def test_what_a_recording_began_with_is_checked_before_it_goes_on(tmp_path, plan, frames, name):
+    (tmp_path / "c").mkdir()
+    (tmp_path / "c" / "c.cameramodel").write_text("f = 1.5")
+    options = {"rig_toml": "a = 1.5\n", "calibration": tmp_path / "c"}
+    with SessionWriter.create(tmp_path / "s", plan, **options) as writer:
+        writer.record("0000", frames["0000"], sequence=1)
+    file = tmp_path / "s" / name
+    content = file.read_bytes()
+    # Files that mean something else, and are files of their kind yet.
+    changed = content.replace(b'": 6', b'": 7', 1) if name == "plan.json" else content[:-2] + b"4\n"
+    assert changed != content
+    journal = (tmp_path / "s" / "journal.jsonl").read_bytes()
+    for damage in (changed, None):
+        file.unlink() if damage is None else file.write_bytes(damage)
+        for opened in (SessionWriter.resume, open_for_replay):
+            with pytest.raises(SessionError, match=f"{file.name}.*(altered since|missing)"):
+                opened(tmp_path / "s")
+    assert (tmp_path / "s" / "journal.jsonl").read_bytes() == journal
+    file.write_bytes(content)
+    resume_all(tmp_path / "s", frames)
+    Session.open(tmp_path / "s")
+
+
+def test_what_the_journal_says_last_of_a_frame_holds(tmp_path, plan, frames):
+    """Skipped the second time, where the frames that told of it were lost and taken anew."""
+    optional = plan.model_copy(
+        update={
+            "bracketing": Bracketing(),
+            "frames": tuple(
+                frame.model_copy(
+                    update={
+                        "exposure_s": 0.1 * (1 + n),
+                        "bracket": "b",
+                        "pattern": plan.frames[0].pattern,
+                    }
+                )
+                for n, frame in enumerate(plan.frames)
+            ),
+        }
+    )
+    with SessionWriter.create(tmp_path / "s", optional) as writer:
+        for frame_id in ("0000", "0001"):
+            writer.record(frame_id, frames[frame_id], sequence=1)
+    (tmp_path / "s" / "frames" / "0001.png").unlink()
+    with SessionWriter.resume(tmp_path / "s") as writer:
+        writer.skip("0001", reason=SkipReason.SERVED, pixels=0, saturating=0)
+    with SessionWriter.resume(tmp_path / "s") as writer:
+        assert writer.missing == ["0002"]
+        assert list(open_for_replay(tmp_path / "s").recorded) == ["0000"]
+        record_rest(writer, frames)
+    opened = Session.open(tmp_path / "s")
+    assert set(opened.recorded) == {"0000", "0002"}
+    assert set(opened.skipped) == {"0001"}
+
+
+@pytest.mark.parametrize("end", [b"\r", b"\x0b", b"\x0c", b"\x1c", b"\x1e"])
+def test_other_ends_of_lines_in_the_manifest_are_told(session, end):
+    file = session / "manifest.sha256"
+    content = file.read_bytes()
+    last = len(content) - 1
+    for place in (content.index(b"\n"), last):
+        file.write_bytes(content[:place] + end + content[place + 1 :])
+        with pytest.raises(SessionError, match=r"manifest\.sha256"):
+            Session.open(session)
 
 
 def test_a_complete_session_is_neither_resumed_nor_overwritten(session, plan):

@@ -24,7 +24,7 @@ def small_plan() -> Plan:
     choices = PhotographChoices(
         exposures_s=(0.05, 0.1, 0.4),
         code_exposures_s=(0.1,),
-        poses=2,
+        poses=1,
         steps=3,
         period_px=32.0,
         reference_every=9,
@@ -140,9 +140,9 @@ def test_a_disk_that_fails_at_any_write_leaves_what_was_recorded(
                 # Making the folder above, which was there already.
                 assert fatal == 0
         if folder.exists():
-            writer = SessionWriter.resume(folder) if is_unfinished(folder) else None
-            for frame_id in () if writer is None else writer.so_far.recorded:
-                writer.so_far.read_frame(frame_id)
+            so_far = SessionWriter.resume(folder).so_far if is_unfinished(folder) else None
+            for frame_id in () if so_far is None else so_far.recorded:
+                so_far.read_frame(frame_id)
         finish(folder, plan)
         assert_same(folder, session)
         shutil.rmtree(folder)
@@ -194,7 +194,7 @@ def journal_lines(folder):
     return (folder / "journal.jsonl").read_bytes().splitlines(keepends=True)
 
 
-@pytest.mark.parametrize("line", [1, 4, 7])
+@pytest.mark.parametrize("line", [1, 4, 6])
 def test_lines_of_the_journal_that_are_missing_doubled_or_displaced_are_told(
     session, tmp_path, line
 ):

@@ -73,12 +73,12 @@ def replay(
     digest = Session.open(out).digest
     identical = digest == source.digest
     typer.echo(
-        f"{out}: {len(source.plan.frames)} frames, "
+        f"{out}: {len(source.recorded)} frames, "
         + ("identical to the recording" if identical else "the same samples in other files")
     )
     write_json(
         json,
-        {"frames": len(source.plan.frames), "digest": digest, "identical": identical},
+        {"frames": len(source.recorded), "digest": digest, "identical": identical},
     )
 
 

@@ -60,9 +60,10 @@ def resume(
             else f"{rig}: no such file"
         )
     file = keeping_its_place(read_rig_file(described), so_far)
+    # The session first: one that is being recorded has its devices in use.
     with (
-        file.open(confirm=confirm_at_desk) as opened,
         SessionWriter.resume(session) as writer,
+        file.open(confirm=confirm_at_desk) as opened,
     ):
         figures = finish_session(writer, opened)
     write_json(json, figures)
