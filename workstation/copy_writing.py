@@ -111,7 +111,20 @@ def write_pictured(
 
 def write_run(done: Processed, out: Path, more: dict[str, Any]) -> None:
     """Write the record of a run: what each stage took, or would have taken."""
-    write_json(run_file(out), more | {"stages": [asdict(run) for run in done.stages.runs]})
+    reflectance = done.figures.get("reflectance") or {}
+    record = {"stages": [asdict(run) for run in done.stages.runs], "rays": reflectance.get("rays")}
+    write_json(run_file(out), more | record)
+
+
+def read_run(out: Path) -> dict[str, Any] | None:
+    """The record of the run that made a copy; None where there is none that makes sense."""
+    try:
+        found = json.loads(run_file(out.resolve()).read_text())
+        names = {"name", "seconds", "skipped", "saved_s"}
+        whole = all(names <= set(stage) for stage in found["stages"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return found if whole else None
 
 
 def _nothing(folder: Path) -> None:

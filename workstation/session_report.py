@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from acquisition.contact_sheet import draw_contact_sheet
 from acquisition.session import Session
 from calibration.rig_geometry import RigGeometry
-from calibration.srgb import encode_srgb
 from fitting.copy_files import read_copy
 from fitting.digital_copy import DigitalCopy
 from fitting.relief_picture import draw_relief
@@ -25,6 +24,8 @@ from render.painting_node import Mode
 from render.views import NamedView, named_view
 from workstation.report_maps import draw_map, shaded_relief
 from workstation.report_page import Picture, Section, Table, write_page
+from workstation.report_reflectance import held_out_section, reflectance_section
+from workstation.report_stages import stages_section
 
 # Parts that progress is told of: contact sheet, maps and views.
 PARTS = 2 + len(NamedView)
@@ -37,6 +38,9 @@ def write_session_report(
     path: Path,
     *,
     session: Session | None = None,
+    photographs: Session | None = None,
+    run: dict[str, Any] | None = None,
+    more: Sequence[Section] = (),
     begin: Callable[[str], None] = lambda part: None,
 ) -> dict[str, Any]:
     """Write the report of a copy as one HTML page.
@@ -48,6 +52,12 @@ def write_session_report(
         The page.
     session : Session, optional
         What the copy was made from, for what was captured and how it was calibrated.
+    photographs : Session, optional
+        Those that its reflectance was made from.
+    run : dict, optional
+        Record of the run that made the copy, for what each stage took.
+    more : sequence of Section
+        Further parts, after the errors.
     begin : callable
         Called with the name of each part as it is begun, :data:`PARTS` times at the most.
 
@@ -66,14 +76,19 @@ def write_session_report(
     if session is not None:
         begin("contact sheet")
         sections += [_captured(session), _calibration(session)]
+    if photographs is not None:
+        sections.append(_captured(photographs, title="Photographs"))
     begin("maps")
     sections += [_heights(copy), _relief(copy)]
     if copy.reflectance is not None:
-        sections.append(_reflectance(copy))
-    sections += [_errors(copy), _views(copy, begin)]
-    stages = copy.provenance.get("stages")
-    if stages:
-        sections.append(_stages(stages))
+        sections.append(reflectance_section(copy))
+    held_out = held_out_section(copy_folder)
+    if held_out is not None:
+        sections.append(held_out)
+    sections += [_errors(copy), *more, _views(copy, begin)]
+    if run:
+        sessions = tuple(one for one in (session, photographs) if one is not None)
+        sections.append(stages_section(run, sessions))
     sections.append(_parameters(copy))
     width, height = copy.height_field.size_mm
     write_page(
@@ -98,7 +113,7 @@ def write_session_report(
     }
 
 
-def _captured(session: Session) -> Section:
+def _captured(session: Session, *, title: str = "What was captured") -> Section:
     sheet, figures = draw_contact_sheet(session)
     exposures = sorted({f.exposure_s for f in figures if f.exposure_s is not None})
     purposes = Counter(str(frame.purpose) for frame in session.frames)
@@ -116,7 +131,7 @@ def _captured(session: Session) -> Section:
         ("digest of the session", session.digest),
     ]
     return Section(
-        "What was captured",
+        title,
         tables=(Table(tuple(rows)),),
         pictures=(Picture("Every frame, in the order of the plan", _jpeg(sheet)),),
     )
@@ -210,31 +225,6 @@ def _relief(copy: DigitalCopy) -> Section:
     )
 
 
-def _reflectance(copy: DigitalCopy) -> Section:
-    maps = copy.reflectance
-    assert maps is not None
-    diffuse = np.pi * maps.diffuse.astype(np.float64)
-    specular = maps.specular.astype(np.float64).mean(axis=-1)
-    exponent = np.log10(np.maximum(maps.lobe[..., 3].astype(np.float64), 1.0))
-    pictures = (
-        Picture("Diffuse colour π ρ_d", draw_map(copy, encode_srgb(diffuse))),
-        Picture(
-            "Strength of the lobe ρ_s, mean of red, green and blue",
-            draw_map(copy, specular, unit="1/sr", colours="cividis", limits=(1, 99)),
-        ),
-        Picture(
-            "Sharpness of the lobe, log₁₀ k",
-            draw_map(copy, exponent, unit="log₁₀ k", colours="cividis", limits=(1, 99)),
-        ),
-    )
-    return Section(
-        "Reflectance",
-        "One Lafortune lobe per texel: a diffuse part, and a highlight of a strength and sharpness "
-        "of its own.",
-        pictures=pictures,
-    )
-
-
 def _errors(copy: DigitalCopy) -> Section:
     errors: dict[str, Any] = copy.provenance.get("errors", {})
     rows: list[tuple[str, ...]] = []
@@ -251,12 +241,29 @@ def _errors(copy: DigitalCopy) -> Section:
     else:
         by_rig = str(calibration or "not known")
     rows.append(("height by the calibration's uncertainty", by_rig))
+    rows += _reflectance_errors(errors)
     return Section(
         "Errors, predicted and observed",
         "Predicted errors come from the sensor's noise and the calibration alone; a ratio of one "
         "says that nothing else is at work.",
         tables=(Table(tuple(rows), ("", "predicted", "observed", "ratio")),),
     )
+
+
+def _reflectance_errors(errors: dict[str, Any]) -> list[tuple[str, ...]]:
+    named = (
+        ("misplacement of texture by registration", "registration_texture_px", "{:.4f} px"),
+        ("residual of radiance over irradiance, median", "reflectance_residual", "{:.4f} 1/sr"),
+        ("photographs kept out of the fit, PSNR", "heldout_psnr_db", "{:.1f} dB"),
+        ("the same, mean ΔE2000", "heldout_delta_e", "{:.2f}"),
+    )
+    predicted = {"registration_texture_px"}
+    rows = []
+    for title, name, form in named:
+        if isinstance(errors.get(name), float):
+            said = form.format(errors[name])
+            rows.append((title, said, "") if name in predicted else (title, "", said))
+    return rows
 
 
 def _compared(name: str, unit: str, predicted: float, observed: float) -> tuple[str, ...]:
@@ -274,20 +281,6 @@ def _views(copy: DigitalCopy, begin: Callable[[str], None]) -> Section:
             image = painter.paint(copy, view, mode=Mode.RELIEF, width=width, height=height)
             pictures.append(Picture(str(name), _jpeg(image.encoded()[..., ::-1])))
     return Section("Views", pictures=tuple(pictures), small=True)
-
-
-def _stages(stages: list[dict[str, Any]]) -> Section:
-    rows = [
-        (
-            str(stage["name"]),
-            f"{stage['seconds']:.2f} s",
-            f"kept from before, saves {stage['saved_s']:.2f} s" if stage["skipped"] else "",
-        )
-        for stage in stages
-    ]
-    return Section(
-        "Stages", tables=(Table(tuple(rows), ("stage", "time", "what need not be done")),)
-    )
 
 
 def _parameters(copy: DigitalCopy) -> Section:

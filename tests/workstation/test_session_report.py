@@ -32,6 +32,16 @@ ERRORS = {
 }
 
 
+RUN = {
+    "quality": "draft",
+    "expected_seconds": {"decoding": 4.0},
+    "stages": [
+        {"name": "decoding", "seconds": 0.1, "skipped": True, "saved_s": 4.2, "peak_mb": 99.0}
+    ],
+    "rays": {"tested": 12, "cast": 9, "blocked": 1},
+}
+
+
 def bumpy():
     y, x = np.mgrid[:60, :80]
     hills = np.maximum(0, np.sin(x / 6) * np.sin(y / 5) - 0.5) * 3
@@ -86,7 +96,6 @@ def copy(tmp_path):
         "errors": ERRORS,
         "warnings": ["two canvases & one frame"],
         "parameters": {"surface": {"pitch_mm": None}},
-        "stages": [{"name": "decoding", "seconds": 1.5, "skipped": True, "saved_s": 4.25}],
     }
     write_copy(replace(made, reflectance=maps, provenance=provenance), tmp_path / "copy")
     return tmp_path / "copy"
@@ -95,7 +104,12 @@ def copy(tmp_path):
 def test_the_page_tells_everything_and_asks_for_nothing(copy, session, tmp_path):
     parts = []
     figures = write_session_report(
-        copy, tmp_path / "r.html", session=Session.open(session), begin=parts.append
+        copy,
+        tmp_path / "r.html",
+        session=Session.open(session),
+        photographs=Session.open(session),
+        run=RUN,
+        begin=parts.append,
     )
     assert len(parts) == PARTS
     page = Page(tmp_path / "r.html")
@@ -103,7 +117,13 @@ def test_the_page_tells_everything_and_asks_for_nothing(copy, session, tmp_path)
     assert {a[1:] for a in page.addresses if a.startswith("#")} <= page.anchors
     text = " ".join(page.text)
     wanted = ("two canvases & one frame", "<somewhere>", "1.50", "0.03 mm", "0.02 mm", "0.0040 mm")
-    for word in (*wanted, "saves 4.25 s", "by default from the data", Session.open(session).digest):
+    for word in (
+        *wanted,
+        "4.2 s spared",
+        "3 of 12",
+        "by default from the data",
+        Session.open(session).digest,
+    ):
         assert word in text, word
     assert "Reflectance" in figures["sections"]
     for alt, _ in page.pictures:

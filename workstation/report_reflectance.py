@@ -1,0 +1,128 @@
+"""Parts of a copy's report on its reflectance: maps, and photographs that the fit did not see."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calibration.srgb import encode_srgb
+from fitting.digital_copy import DigitalCopy, ReflectanceMaps
+from fitting.errors import CopyError
+from fitting.reflectance.flags import TexelFlag
+from workstation.copy_writing import HELD_OUT_FILE, HELD_OUT_FOLDER
+from workstation.report_maps import draw_map
+from workstation.report_page import Comparison, Picture, Section, Table
+
+
+def reflectance_section(copy: DigitalCopy) -> Section:
+    """Maps of the lobes, and what is known of their errors."""
+    maps = copy.reflectance
+    assert maps is not None
+    diffuse = np.pi * maps.diffuse.astype(np.float64)
+    specular = maps.specular.astype(np.float64).mean(axis=-1)
+    exponent = np.log10(np.maximum(maps.lobe[..., 3].astype(np.float64), 1.0))
+    pictures = [
+        Picture("Diffuse colour π ρ_d", draw_map(copy, encode_srgb(diffuse))),
+        Picture(
+            "Strength of the lobe ρ_s, mean of red, green and blue",
+            draw_map(copy, specular, unit="1/sr", colours="cividis", limits=(1, 99)),
+        ),
+        Picture(
+            "Sharpness of the lobe, log₁₀ k",
+            draw_map(copy, exponent, unit="log₁₀ k", colours="cividis", limits=(1, 99)),
+        ),
+        *_quality_maps(copy, maps),
+    ]
+    return Section(
+        "Reflectance",
+        "One Lafortune lobe per texel: a diffuse part, and a highlight of a strength and sharpness "
+        "of its own.",
+        tables=tuple(_tables(copy, maps)),
+        pictures=tuple(pictures),
+    )
+
+
+def _quality_maps(copy: DigitalCopy, maps: ReflectanceMaps) -> list[Picture]:
+    if maps.quality is None:
+        return []
+    sigma = np.pi * maps.quality.diffuse_sigma.astype(np.float64).mean(axis=-1)
+    residual = np.pi * maps.quality.residual.astype(np.float64)
+    return [
+        Picture(
+            "Predicted standard error of the diffuse colour π ρ_d",
+            draw_map(copy, sigma, unit="of white", colours="magma", limits=(0, 98)),
+        ),
+        Picture(
+            "Observed: RMS that the lobe leaves of the samples, times π",
+            draw_map(copy, residual, unit="of white", colours="magma", limits=(0, 98)),
+        ),
+    ]
+
+
+def _tables(copy: DigitalCopy, maps: ReflectanceMaps) -> list[Table]:
+    found: dict[str, Any] = copy.provenance.get("reflectance") or {}
+    rows: list[tuple[str, ...]] = []
+    if found.get("photographs"):
+        rows.append(("photographs behind the fit", str(found["photographs"])))
+    if maps.quality is not None:
+        mask = copy.height_field.mask
+        samples, flags = maps.quality.samples[mask], maps.quality.flags[mask]
+        rows.append(("samples of a texel, median", f"{np.median(samples):.0f}"))
+        for flag in TexelFlag:
+            share = float(np.mean((flags & int(flag)) != 0))
+            if flag.name and share > 0:
+                name = flag.name.lower().replace("_", " ")
+                rows.append((f"texels flagged {name}", f"{100 * share:.2g} %"))
+    tables = [Table(tuple(rows))] if rows else []
+    materials = found.get("materials") or []
+    if materials:
+        heading = ("material", "k", "lobe", "misfit, of its radiance")
+        lobes = tuple(
+            (str(n), f"{m['k']:.1f}", m["variant"].lower(), f"{100 * m['misfit_relative']:.1f} %")
+            for n, m in enumerate(materials, start=1)
+        )
+        tables.append(Table(lobes, heading))
+    return tables
+
+
+def held_out_section(copy_folder: Path) -> Section | None:
+    """Photographs beside their renderings, each with a slider; None where none was kept out.
+
+    Raises
+    ------
+    CopyError
+        A picture is missing, or the list of them is damaged.
+    """
+    listed = copy_folder / HELD_OUT_FILE
+    if not listed.is_file():
+        return None
+    try:
+        rows = json.loads(listed.read_text())
+        pairs = [_pair(copy_folder / HELD_OUT_FOLDER, row) for row in rows]
+        heading = ("photograph", "PSNR", "mean ΔE2000")
+        table = tuple(
+            (str(row["name"]), f"{row['psnr_db']:.1f} dB", f"{row['delta_e']:.2f}") for row in rows
+        )
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise CopyError(f"{listed}: damaged ({error}); process the session again") from None
+    return Section(
+        "Photographs kept out",
+        "The fit has not seen these photographs. Move the slider, with the mouse or the arrow "
+        "keys: the photograph is to its left, what the copy shows under the same light to its "
+        "right.",
+        tables=(Table(table, heading),),
+        comparisons=tuple(pairs),
+    )
+
+
+def _pair(folder: Path, row: dict[str, Any]) -> Comparison:
+    name = str(row["name"])
+    left, right = (
+        Picture(f"{what} {name}", (folder / f"{name}-{kind}.png").read_bytes())
+        for what, kind in (("photograph", "measured"), ("rendering of", "rendered"))
+    )
+    caption = f"{name}: {row['psnr_db']:.1f} dB, mean ΔE2000 {row['delta_e']:.2f}"
+    return Comparison(caption, left, right)
