@@ -1,50 +1,36 @@
 """OpenGL for rendering without a display, through EGL.
 
-Importing this module sets pyrender up for EGL; every other module of :mod:`render` gets pyrender
-from here, so that the platform is chosen before pyrender looks for one.
+Importing this module sets pyrender up for EGL, unless :mod:`render.windows` chose windows before;
+every other module of :mod:`render` gets pyrender from here, so that the platform is chosen before
+pyrender looks for one.
 """
 
 from __future__ import annotations
 
 import os
-from typing import Any
 
 from render.errors import RenderError
+from render.windows import in_windows
 
 os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
 os.environ.setdefault("PYGLET_HEADLESS", "true")
 
 _INSTALL = "install Debian's libegl1, libgl1 and libgl1-mesa-dri"
+if in_windows():
+    _INSTALL += ", and for windows libx11-6, libxrandr2 and libglx-mesa0"
 _LEAST = (4, 1)
 
 # Without its libraries OpenGL's binding fails while it is imported, in several ways.
 try:
     import pyrender
-    from OpenGL import EGL, GL
+    from OpenGL import GL
     from OpenGL.error import Error as OpenGLError
-    from pyrender.platforms import egl
 except (ImportError, AttributeError, OSError) as error:
     raise RenderError(
         f"OpenGL's libraries cannot be loaded ({type(error).__name__}: {error}); {_INSTALL}"
     ) from error
 
 __all__ = ["GL", "HeadlessContext", "OpenGLError", "pyrender"]
-
-
-class _Platform(egl.EGLPlatform):
-    """pyrender's EGL platform, whose end leaves the display to the other contexts on it."""
-
-    _egl_context: Any
-    _egl_display: Any
-
-    def delete_context(self) -> None:
-        if self._egl_context is None:
-            return
-        EGL.eglMakeCurrent(
-            self._egl_display, EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, EGL.EGL_NO_CONTEXT
-        )
-        EGL.eglDestroyContext(self._egl_display, self._egl_context)
-        self._egl_context = None
 
 
 class HeadlessContext:
@@ -58,8 +44,9 @@ class HeadlessContext:
 
     def __init__(self) -> None:
         try:
-            device = egl.get_device_by_index(int(os.environ.get("EGL_DEVICE_ID", "0")))
-            self._platform = _Platform(1, 1, device=device)
+            from render.egl_platform import headless_platform
+
+            self._platform = headless_platform(int(os.environ.get("EGL_DEVICE_ID", "0")))
             self._platform.init_context()
             version = (GL.glGetIntegerv(GL.GL_MAJOR_VERSION), GL.glGetIntegerv(GL.GL_MINOR_VERSION))
         except Exception as error:  # EGL's binding raises a dozen types of its own

@@ -358,33 +358,35 @@ def painting_scene(
     """
     scene = pyrender.Scene(bg_color=[*BACKGROUND, 0.0], ambient_light=[light.ambient] * 3)
     scene.add(mesh)
-    extent = float(np.hypot(*copy.height_field.size_mm)) + sum(
-        abs(h) for h in copy.height_field.height_range_mm
-    )
-    nearest = _nearest(copy, view)
+    near, far = clip_planes(copy, view.position)
     camera = pyrender.PerspectiveCamera(
-        yfov=view.field_of_view,
-        aspectRatio=aspect,
-        znear=max(1e-4 * view.distance_mm, 0.2 * nearest),
-        zfar=view.distance_mm + extent,
+        yfov=view.field_of_view, aspectRatio=aspect, znear=near, zfar=far
     )
     scene.add(camera, pose=view.pose())
+    lamp, pose = lamp_of(copy, light)
+    scene.add(lamp, pose=pose)
+    return scene
+
+
+def lamp_of(copy: DigitalCopy, light: Light) -> tuple[pyrender.PointLight, NDArray[np.float64]]:
+    """A light as pyrender has it, and its pose (4, 4) in the canvas frame of a copy."""
     away = light.distance_mm
     if away is None:
         away = 5 * max(copy.height_field.size_mm)
     pose = np.eye(4)
     pose[:3, 3] = away * direction(light.azimuth, light.elevation)
     intensity = np.pi * light.strength * away**2
-    scene.add(pyrender.PointLight(color=[1.0, 1.0, 1.0], intensity=intensity), pose=pose)
-    return scene
+    return pyrender.PointLight(color=[1.0, 1.0, 1.0], intensity=intensity), pose
 
 
-def _nearest(copy: DigitalCopy, view: View) -> float:
-    """Distance from the camera to the box around the copy, at least a hair."""
+def clip_planes(copy: DigitalCopy, camera: NDArray[np.float64]) -> tuple[float, float]:
+    """Nearest and farthest depth of what a camera at (3,) in the canvas frame can see, mm."""
+    distance = float(np.linalg.norm(camera))
     width, height = copy.height_field.size_mm
     low, high = copy.height_field.height_range_mm
     x0, y0 = copy.height_field.origin_mm
     box_low = np.array([x0, y0 - height, min(low, copy.relief.delta0_mm)])
     box_high = np.array([x0 + width, y0, max(high, copy.relief.delta0_mm)])
-    gap = np.maximum(0.0, np.maximum(box_low - view.position, view.position - box_high))
-    return float(np.linalg.norm(gap))
+    gap = np.maximum(0.0, np.maximum(box_low - camera, camera - box_high))
+    nearest = max(1e-4 * distance, 0.2 * float(np.linalg.norm(gap)))
+    return nearest, distance + float(np.hypot(width, height)) + abs(low) + abs(high)

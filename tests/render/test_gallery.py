@@ -39,7 +39,7 @@ def middle_of(gallery, name):
     return gallery.scene.get_pose(node)[:3, 3]
 
 
-@pytest.mark.parametrize("mode", [Mode.BOUNDED, Mode.HYBRID])
+@pytest.mark.parametrize("mode", [Mode.BOUNDED, Mode.ADAPTIVE])
 def test_a_walk_shows_every_painting_lit_and_in_its_place(painter, copies, mode):
     gallery = Gallery(copies, mode=mode)
     seen = set()

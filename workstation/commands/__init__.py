@@ -18,6 +18,7 @@ from workstation.commands import (
     report,
     resume,
     scan,
+    view,
 )
 
 # In the order of the help: from the rig to the copy.
@@ -32,6 +33,7 @@ _COMMANDS = (
     import_capture,
     process,
     render,
+    view,
     gallery,
     report,
     bench,

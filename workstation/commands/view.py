@@ -1,0 +1,81 @@
+"""``impasto view``: a digital copy in a window."""
+
+from __future__ import annotations
+
+from math import radians
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from workstation.commands.render import parse_light, parse_mode, parse_size
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("view")(view)
+
+
+def view(
+    copy: Annotated[Path, typer.Argument(metavar="COPY", help="Folder of a digital copy.")],
+    mode: Annotated[
+        str, typer.Option(help="mesh, bump, relief, hybrid, adaptive, exact or bounded.")
+    ] = "bounded",
+    view: Annotated[
+        str,
+        typer.Option(
+            help="near-, inshot- or far-, with grazing or front; or 'az,el,dist' in degrees and mm."
+        ),
+    ] = "inshot-front",
+    size: Annotated[str, typer.Option(metavar="WxH", help="Window size in pixels.")] = "1024x768",
+    light: Annotated[
+        str, typer.Option(help="'az,el' or 'az,el,dist' of the lamp, degrees and mm.")
+    ] = "135,32",
+    field_of_view: Annotated[
+        float, typer.Option("--fov", help="Vertical field of view, degrees.")
+    ] = 35.0,
+    exposure: Annotated[float, typer.Option(help="Factor on the radiance.")] = 1.0,
+    budget: Annotated[
+        float, typer.Option(help="Parallax that bounded may leave, in pixels.")
+    ] = 0.25,
+    shadows: Annotated[
+        bool, typer.Option("--shadows", help="Let the relief cast shadows on itself.")
+    ] = False,
+) -> None:
+    """Look at a digital copy in a window.
+
+    Keys change mode, light, error budget and shadows, the mouse moves the view; the window says
+    which. It needs an X display with OpenGL 4.1.
+
+    Example:
+
+        impasto view copy/ --mode bounded --light 150,20 --shadows
+    """
+    from render.windows import draw_in_windows
+
+    draw_in_windows()
+    from fitting.copy_files import read_copy
+    from render.viewer import PaintingViewer, Shown
+    from render.views import parse_view
+    from workstation.interruption import stop_if_requested
+
+    width, height = parse_size(size)
+    shown = Shown(
+        mode=parse_mode(mode),
+        light=parse_light(light),
+        budget_px=budget,
+        shadows=shadows,
+        exposure=exposure,
+    )
+    loaded = read_copy(copy)
+    camera = parse_view(view, loaded, aspect=width / height, field_of_view=radians(field_of_view))
+    with PaintingViewer(
+        loaded,
+        camera,
+        shown,
+        width=width,
+        height=height,
+        title=f"{copy} - Impasto",
+        between_frames=stop_if_requested,
+    ) as window:
+        window.run()
