@@ -150,8 +150,8 @@ vec3 shade(vec3 point, vec2 uv, vec4 relief, float level) {
         vec3 irradiance =
             directional_lights[i].color * directional_lights[i].intensity * max(l.z, 0.0);
 #ifdef SHADOWS
-        vec3 far = -1e6 * direction_to_canvas(directional_lights[i].direction);
-        if (l.z > 0.0) irradiance *= unshadowed(point, far);
+        vec3 away = -1e6 * direction_to_canvas(directional_lights[i].direction);
+        if (l.z > 0.0) irradiance *= unshadowed(point, away);
 #endif
         radiance += reflectance(paint, v, l) * irradiance;
     }

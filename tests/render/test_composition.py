@@ -3,16 +3,20 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from rendered_heights import heights_hit
 from synthetic_copy import make_copy, strokes
 
+from fitting.digital_copy import ReflectanceMaps
 from render.errors import RenderError
-from render.opengl import pyrender
+from render.opengl import GL, pyrender
 from render.painter import Light, painting_scene
+from render.painting_maps import PaintingMaterial
 from render.painting_node import Mode, painting_mesh
+from render.painting_renderer import RoomLight
 from render.views import View
 
 FRONT = View(np.deg2rad(-90.0), np.deg2rad(89.99), 150.0)
@@ -130,6 +134,7 @@ class Without(whole):
         super().__init__(name, *rest, **options)
 ctypes.CDLL = Without
 ctypes.util.find_library = lambda name: None if "GL" in name else find(name)
+from fitting.digital_copy import ReflectanceMaps
 from render.errors import RenderError
 try:
     from render.painter import Painter
@@ -142,3 +147,81 @@ except RenderError as error:
     )
     assert done.returncode == 0, done.stderr
     assert "install Debian's libegl1, libgl1 and libgl1-mesa-dri" in done.stdout
+
+
+def two_paintings(mode):
+    """One large, and 25 mm before its right half a small one, lit by two spots from the left."""
+    large = make_copy(np.zeros((120, 160)))
+    small = make_copy(np.zeros((60, 40)))
+    dark = Light(strength=0.0, ambient=0.0)
+    scene = painting_scene(large, painting_mesh(large, mode), FRONT, dark, 4 / 3)
+    ahead = np.eye(4)
+    ahead[:3, 3] = (20, 0, 25)
+    scene.add(painting_mesh(small, mode), pose=ahead)
+    for elevation in (45.0, 60.0):
+        spot = pyrender.SpotLight(
+            color=[1.0] * 3, intensity=200.0**2, innerConeAngle=0.5, outerConeAngle=0.6
+        )
+        scene.add(spot, pose=View(np.pi, np.deg2rad(elevation), 200.0).pose())
+    return scene
+
+
+@pytest.mark.parametrize("mode", [Mode.EXACT, Mode.BOUNDED])
+def test_a_painting_hides_and_shades_another_from_each_light(painter, mode):
+    scene = two_paintings(mode)
+    size = {"width": 240, "height": 180}
+    bare = painter.paint_scene(scene, **size)
+    shaded = painter.paint_scene(scene, **size, room_light=RoomLight())
+    half = np.tan(FRONT.field_of_view / 2)
+    x = (2 * (np.arange(240) + 0.5) / 240 - 1) * half * 4 / 3
+    # The small one, from 10 to 30 mm, is nearer to the camera, and in no shadow.
+    small = (x * 125 > 10.5) & (x * 125 < 29.5)
+    assert bare.depth_mm[90, small] == pytest.approx(125, abs=0.1)
+    assert shaded.radiance[90, small] == pytest.approx(bare.radiance[90, small])
+    large = ((np.abs(x * 150) < 39) & ~((x * 125 > 9.5) & (x * 125 < 30.5))).nonzero()[0]
+    hidden = []
+    for elevation in np.deg2rad([45.0, 60.0]):
+        lamp = 200 * np.array([-np.cos(elevation), np.sin(elevation)])
+        passes = lamp[0] + (x[large] * 150 - lamp[0]) * (lamp[1] - 25) / lamp[1]
+        hidden.append((passes > 10) & (passes < 30))
+    count = np.sum(hidden, axis=0)
+    share = shaded.radiance[90, large, 0] / bare.radiance[90, large, 0]
+    # Away from the edges of shadows, which the map draws to a millimetre.
+    steady = np.array([len(set(count[max(i - 3, 0) : i + 4])) == 1 for i in range(len(count))])
+    assert {0, 1} <= set(count[steady])
+    assert (share[steady & (count == 0)] > 0.999).all()
+    assert ((share > 0.2) & (share < 0.8))[steady & (count == 1)].all()
+    assert (share[steady & (count == 2)] < 1e-3).all()
+
+
+def test_reflectance_is_kept_in_half_precision_with_all_its_levels(painter):
+    copy = make_copy(strokes())
+    texel = np.ones((120, 160, 3), np.float32)
+    lobe = np.tile(np.array([-1, -1, 1, 5], np.float32), (120, 160, 1))
+    copy = replace(
+        copy, reflectance=ReflectanceMaps(diffuse=0.2 * texel, specular=0.1 * texel, lobe=lobe)
+    )
+    material = PaintingMaterial(copy)
+    scene = painting_scene(
+        copy, painting_mesh(copy, Mode.BUMP, material=material), FRONT, Light(), 4 / 3
+    )
+    painter.paint_scene(scene, width=32, height=24)
+    kept = {}
+    for name, texture in material.maps.items():
+        texture._bind()
+        sizes = []
+        while True:
+            level = len(sizes)
+            width = GL.glGetTexLevelParameteriv(GL.GL_TEXTURE_2D, level, GL.GL_TEXTURE_WIDTH)
+            if not width:
+                break
+            sizes.append(int(width))
+        form = GL.glGetTexLevelParameteriv(GL.GL_TEXTURE_2D, 0, GL.GL_TEXTURE_INTERNAL_FORMAT)
+        kept[name] = (int(form), sizes)
+    sizes = [160, 80, 40, 20, 10, 5, 2, 1]
+    assert kept == {
+        "relief_map": (int(GL.GL_RGBA32F), sizes),
+        "diffuse_map": (int(GL.GL_RGB16F), sizes),
+        "specular_map": (int(GL.GL_RGB16F), sizes),
+        "lobe_map": (int(GL.GL_RGBA16F), sizes),
+    }

@@ -90,7 +90,7 @@ def test_a_light_behind_the_canvas_reaches_nothing(painter):
 
 
 def test_flat_copies_of_any_size_have_no_shadows(painter):
-    for shape in ((1, 1), (1, 9), (9, 12)):
+    for shape in ((1, 1), (9, 12)):
         flat = make_copy(np.zeros(shape))
         pair = [
             painter.paint(
