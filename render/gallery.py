@@ -31,7 +31,7 @@ _FRAME = 0.11  # width of the moulding, in units of the root of the copy's own a
 _GAP = 0.85  # between frames
 _MARGIN = 2.6  # between the outermost frames and the ends of the room
 _LAMP = np.array([0.0, 2.6, 1.9])  # from the middle of its painting
-_LAMP_RADIUS = 0.035
+_LAMP_RADIUS = 0.1
 _FROM_WALL = 0.02
 _LEAST_POOL = 0.3  # half the diagonal that a lamp lights at least
 _PROUD = 0.02  # how far a frame may rise over the middle height of the edges that it holds
@@ -154,7 +154,7 @@ class Gallery:
     def _add_label(self, title: str, frame_right: float) -> None:
         pose = np.eye(4)
         pose[:3, 3] = (frame_right + 0.08 * self.unit, (_EYE - 0.2) * self.unit, 0.004 * self.unit)
-        self.scene.add(label_mesh(title, 0.2 * self.unit), pose=pose)
+        self.scene.add(label_mesh(title, 0.15 * self.unit), pose=pose)
 
     def _add_lamp(self, middle: NDArray[np.float64], opening: Opening, frame_width: float) -> None:
         """A spot lamp whose cone holds the frame, aimed low: there its light is thinner."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from pyglet.window import key
 
 from fitting.digital_copy import DigitalCopy
-from render.bounded import BUDGET_PX
 from render.captions import caption_picture
 from render.errors import RenderError
 from render.opengl import pyrender
-from render.painter import Light, clip_planes, lamp_of, painting_scene
+from render.painter import clip_planes, lamp_of, painting_scene
 from render.painting_maps import PaintingMaterial
 from render.painting_node import Mode, painting_mesh
+from render.viewer_state import ViewerState
 from render.views import NamedView, View, named_view
 from render.window_renderer import WindowRenderer
 from render.windows import in_windows, no_display
@@ -32,75 +32,16 @@ _RATE = 60.0  # at which the window looks for something to do, Hz
 _REST_S = 0.25  # without a change, after which the picture is drawn once more, finely
 _FINE = 2  # samples along each axis of a pixel, at rest
 _TURN = np.deg2rad(5.0)
-_LOWEST, _HIGHEST = np.deg2rad(1.0), np.deg2rad(90.0)
 _FARTHER = 1.25
 _LARGER = np.sqrt(2.0)
-_BUDGETS = (1 / 64, 16.0)
 _HELP = (
-    "1-7 M mode   arrows , . light   + - budget   S shadows   [ ] exposure",
-    "mouse: drag turns, shift-drag moves, wheel nears   V view   R back   C caption   Q quit",
+    "1-7, M: mode   arrows, comma, period: light   +, -: budget   S: shadows   [, ]: exposure",
+    "mouse: drag to turn, shift-drag to move, wheel to zoom   V: view   R: back   "
+    "F: full screen   C: caption   Q: quit",
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Shown:
-    """What the window shows beside its view.
-
-    Attributes
-    ----------
-    mode : Mode
-    light : Light
-        Its distance is a number.
-    budget_px : float
-        For :attr:`Mode.BOUNDED`.
-    shadows : bool
-        Whether the relief casts shadows on itself.
-    exposure : float
-    caption : bool
-        Whether all this is written on the picture.
-    """
-
-    mode: Mode = Mode.BOUNDED
-    light: Light
-    budget_px: float = BUDGET_PX
-    shadows: bool = False
-    exposure: float = 1.0
-    caption: bool = True
-
-    def describe(self) -> str:
-        """In one line."""
-        light = self.light
-        mode = str(self.mode)
-        if self.mode is Mode.BOUNDED:
-            mode += f" within {self.budget_px:.3g} px"
-        azimuth, elevation = np.rad2deg([light.azimuth, light.elevation])
-        place = f"azimuth {azimuth:.0f}°, elevation {elevation:.0f}°"
-        shadows = "with shadows" if self.shadows else "without shadows"
-        return (
-            f"{mode}   light: {place}, {light.distance_mm:.0f} mm, {shadows}   "
-            f"exposure {self.exposure:.3g}"
-        )
-
-    def with_mode(self, step: int) -> Shown:
-        """In the next mode, or the one before."""
-        modes = list(Mode)
-        return replace(self, mode=modes[(modes.index(self.mode) + step) % len(modes)])
-
-    def with_light(self, *, turn: float = 0.0, rise: float = 0.0, away: float = 1.0) -> Shown:
-        """With its light moved: by radians, and by a factor on its distance."""
-        light = self.light
-        azimuth = (light.azimuth + turn + np.pi) % (2 * np.pi) - np.pi
-        elevation = float(np.clip(light.elevation + rise, _LOWEST, _HIGHEST))
-        distance = (light.distance_mm or 0.0) * away
-        moved = replace(light, azimuth=azimuth, elevation=elevation, distance_mm=distance)
-        return replace(self, light=moved)
-
-    def with_budget(self, factor: float) -> Shown:
-        """With an error budget multiplied by a factor."""
-        return replace(self, budget_px=float(np.clip(self.budget_px * factor, *_BUDGETS)))
-
-
-_CHANGES: dict[int, Callable[[Shown], Shown]] = {
+_CHANGES: dict[int, Callable[[ViewerState], ViewerState]] = {
     key.LEFT: lambda shown: shown.with_light(turn=_TURN),
     key.RIGHT: lambda shown: shown.with_light(turn=-_TURN),
     key.UP: lambda shown: shown.with_light(rise=_TURN),
@@ -129,7 +70,7 @@ class PaintingViewer(pyrender.Viewer):
     copy : DigitalCopy
     view : View
         At the beginning.
-    shown : Shown
+    shown : ViewerState
         At the beginning; a light without a distance is put at its usual one.
     width, height : int
         Of the window in pixels.
@@ -150,7 +91,7 @@ class PaintingViewer(pyrender.Viewer):
         self,
         copy: DigitalCopy,
         view: View,
-        shown: Shown,
+        shown: ViewerState,
         *,
         width: int = 1024,
         height: int = 768,
@@ -183,7 +124,7 @@ class PaintingViewer(pyrender.Viewer):
         except Exception as error:  # pyglet has a dozen types of its own
             raise no_display(f"{type(error).__name__}: {error}") from error
 
-    def _mesh(self, shown: Shown) -> pyrender.Mesh:
+    def _mesh(self, shown: ViewerState) -> pyrender.Mesh:
         return painting_mesh(
             self._copy, shown.mode, material=self._material, budget_px=shown.budget_px
         )
@@ -283,7 +224,7 @@ class PaintingViewer(pyrender.Viewer):
         self._default_camera_pose = view.pose()
         self._reset_view()
 
-    def _show(self, shown: Shown) -> None:
+    def _show(self, shown: ViewerState) -> None:
         """Change what is shown; a mode that cannot draw the copy is passed over."""
         self._complaint = ""
         drawn_alike = (shown.mode, shown.budget_px) == (self.shown.mode, self.shown.budget_px)

@@ -55,12 +55,13 @@ def view(
 
     draw_in_windows()
     from fitting.copy_files import read_copy
-    from render.viewer import PaintingViewer, Shown
+    from render.viewer import PaintingViewer
+    from render.viewer_state import ViewerState
     from render.views import parse_view
     from workstation.interruption import stop_if_requested
 
     width, height = parse_size(size)
-    shown = Shown(
+    state = ViewerState(
         mode=parse_mode(mode),
         light=parse_light(light),
         budget_px=budget,
@@ -72,7 +73,7 @@ def view(
     with PaintingViewer(
         loaded,
         camera,
-        shown,
+        state,
         width=width,
         height=height,
         title=f"{copy} - Impasto",
