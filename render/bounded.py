@@ -33,11 +33,19 @@ _FLATTEST = 40.0
 # Depth over the shorter side, and share of measured texels, up to which and from which a relief is
 # that of a painting.
 _DEEP, _WHOLE = 0.05, 0.98
-# Levels by which the search is finer than what is shown, for the default budget.
-_FINER = 0.5
+# Levels by which the cones are finer than what is shown, for the default budget: their levels are
+# whole, and from one to the next nothing must be seen to move.
+_FINER = 3.0
 # Steps after which a ray is left where it is: where texels are smaller than pixels, for the default
-# budget; and at most.
+# budget; and at most, on triangles.
 _STEPS, _MOST_STEPS = 9, 48
+# Steps of the cones longer than is safe, and how near is near enough in budgets: where texels are
+# smaller than pixels, and on triangles.
+_RELAXED, _NEAR_ENOUGH = (2.2, 1.2), (0.8, 0.5)
+# Where one way gives way to another: in slopes of nearly all texels over the flattest ray's, and in
+# texels a pixel.
+_GRAZING = (0.7, 1.0)
+_TRIANGLES = (0.7, 0.5)
 
 
 class Search(StrEnum):
@@ -45,6 +53,7 @@ class Search(StrEnum):
 
     PLANE = "PLANE"
     FRONT = "FRONT"
+    BETWEEN = "BETWEEN"
     GRAZING = "GRAZING"
     EXACT = "EXACT"
 
@@ -56,8 +65,10 @@ class ViewNeeds:
     Attributes
     ----------
     search : Search
-    triangles : bool
-        Whether texels are larger than pixels anywhere, so that triangles are seen.
+    grazing_share : float
+        Of what cones find, where they are mixed with what is found from the plane.
+    triangle_share : float
+        Of the triangles, which are seen where texels are larger than pixels.
     plane_mm : float
         Height of the plane.
     plane_error_mm : float
@@ -71,7 +82,8 @@ class ViewNeeds:
     """
 
     search: Search
-    triangles: bool
+    grazing_share: float
+    triangle_share: float
     plane_mm: float
     plane_error_mm: float
     level: int
@@ -130,7 +142,7 @@ class SurfaceShape:
         above = z - self.high
         if above <= 0 or far > _FLATTEST * above:
             return ViewNeeds(
-                *(Search.EXACT, True, self.median, self.high - self.low, 0),
+                *(Search.EXACT, 1.0, 1.0, self.median, self.high - self.low, 0),
                 *(Heading.ANYWHERE, self.corners),
             )
         # Bounds over the canvas, each by itself: nearest place, flattest ray.
@@ -143,20 +155,25 @@ class SurfaceShape:
         if error <= allowed:
             plane = min(max(self.median, self.high - allowed), self.low + allowed)
             return ViewNeeds(
-                *(Search.PLANE, False, plane, error, 0, Heading.ANYWHERE, self._texel_centres)
+                *(Search.PLANE, 0.0, 0.0, plane, error, 0),
+                *(Heading.ANYWHERE, self._texel_centres),
             )
         if self.sculpted:
             return ViewNeeds(
-                *(Search.EXACT, True, self.median, 2 * error, 0, Heading.ANYWHERE, self.corners)
+                *(Search.EXACT, 1.0, 1.0, self.median, 2 * error, 0),
+                *(Heading.ANYWHERE, self.corners),
             )
         plane = middle + (self.median - middle) * min(error / allowed - 1, 1.0)
         level = max(math.log2(pixel_angle * nearest / self.pitch_mm), 0.0)
         # What a coarser level smooths away must fall with the budget.
         coarser = math.log2(budget_px / BUDGET_PX) - _FINER
-        slope = self.steepest[min(int(level), len(self.steepest) - 1)]
+        slope = float(np.interp(level, np.arange(len(self.steepest)), self.steepest))
+        grazing = _share(slope * far / above, _GRAZING)
+        search = Search.BETWEEN if 0 < grazing < 1 else (Search.FRONT, Search.GRAZING)[int(grazing)]
         return ViewNeeds(
-            Search.FRONT if slope * far < above else Search.GRAZING,
-            pixel_angle * nearest < 0.7 * self.pitch_mm,
+            search,
+            grazing,
+            _share(pixel_angle * nearest / self.pitch_mm, _TRIANGLES),
             plane,
             max(self.high - plane, plane - self.low),
             max(round(level + 0.5 * math.log2(nearest / above) + coarser), 0),
@@ -240,15 +257,19 @@ class BoundedPrimitive(PaintingPrimitive):
             self.shaders, self._culled = EXACT_SHADERS, GL.GL_FRONT
             self._uniforms, self._doubles = {}, self._exact_doubles
             return
-        self.shaders = _shaders(needs.search, triangles=needs.triangles)
+        self.shaders = _shaders(needs.search, triangles=needs.triangle_share > 0)
         self._culled, self._doubles = GL.GL_BACK, {}
-        if needs.search is Search.GRAZING:
+        if needs.search in (Search.BETWEEN, Search.GRAZING):
             self.material.prepare_cones(needs.heading, needs.level)
         self._uniforms = {
             "plane_rectangle": needs.rectangle,
             "plane_height": needs.plane_mm,
             "top": self._shape.high,
             "most_steps": _most_steps(needs, self._budget_px),
+            "relaxed": _mixed(_RELAXED, needs.triangle_share),
+            "near_enough": _mixed(_NEAR_ENOUGH, needs.triangle_share),
+            "grazing_share": needs.grazing_share,
+            "triangle_share": needs.triangle_share,
             "plane_error": needs.plane_error_mm,
             "budget": self._budget_px,
         }
@@ -260,9 +281,17 @@ class BoundedPrimitive(PaintingPrimitive):
 
 
 def _most_steps(needs: ViewNeeds, budget_px: float) -> int:
-    if needs.triangles:
-        return _MOST_STEPS
-    return min(round(_STEPS * max(1.0, BUDGET_PX / budget_px)), _MOST_STEPS)
+    fewest = min(_STEPS * max(1.0, BUDGET_PX / budget_px), _MOST_STEPS)
+    return round(_mixed((fewest, _MOST_STEPS), needs.triangle_share))
+
+
+def _share(value: float, ends: tuple[float, float]) -> float:
+    """From 0 at the first end, and before it, to 1 at the second."""
+    return min(max((value - ends[0]) / (ends[1] - ends[0]), 0.0), 1.0)
+
+
+def _mixed(ends: tuple[float, float], share: float) -> float:
+    return ends[0] + share * (ends[1] - ends[0])
 
 
 def _shaders(search: Search, *, triangles: bool = False) -> tuple[str, str, str]:

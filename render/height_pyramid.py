@@ -98,15 +98,14 @@ def cone_slopes(
     for radius in (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128):
         if before > max(height.shape):
             break
-        highest = height
-        for axis, ahead in enumerate(heading.value):
-            # A window of rows, or of columns: to both sides, or from the texel ahead alone.
-            window = np.ones(radius + 1 if ahead else 2 * radius + 1, np.uint8)
-            texel = 0 if ahead > 0 else radius
-            if axis == 0:
-                highest = cv2.dilate(highest, window[:, np.newaxis], anchor=(0, texel))
-            else:
-                highest = cv2.dilate(highest, window[np.newaxis], anchor=(texel, 0))
+        highest = _highest(_highest(height, heading.value[0], radius).T, heading.value[1], radius).T
         np.maximum(slopes, (highest - height) / np.float32(before * pitch_mm), out=slopes)
         before = radius
     return slopes
+
+
+def _highest(height: NDArray[np.float32], ahead: int, radius: int) -> NDArray[np.float32]:
+    """Greatest of the rows within a radius: ahead alone, or on both sides."""
+    window = np.ones((radius + 1 if ahead else 2 * radius + 1, 1), np.uint8)
+    texel = 0 if ahead > 0 else radius
+    return np.asarray(cv2.dilate(height, window, anchor=(0, texel)), np.float32)

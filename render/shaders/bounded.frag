@@ -5,6 +5,7 @@
 // PLANE   no height is off by more than the budget: nothing is searched.
 // FRONT   nothing hides anything: from the plane to the height found there, until it is near enough.
 // GRAZING from the top down by cones that hold no surface (J. Dummer, Cone step mapping, 2006).
+// BETWEEN both of these, mixed.
 // TRIANGLES ends on the triangles of the mesh, where texels are larger than pixels.
 in vec3 canvas_position;
 uniform sampler2D search_map;    // height over search_origin, and slope of a cone without surface
@@ -15,16 +16,11 @@ uniform float top;               // mm, greatest height
 uniform float plane_error;       // mm, by which a height may differ from the plane's
 uniform float budget;            // pixels
 uniform int most_steps;
+uniform float relaxed;           // steps of the cones that are longer than is safe
+uniform float near_enough;       // for the cones, in budgets
+uniform float grazing_share;     // of the cones, BETWEEN
+uniform float triangle_share;
 const float GAP = -1e30;
-// Steps longer than is safe, where a step that goes too deep is seen by less than a pixel and the
-// next comes up again; and how near is near enough, in budgets.
-#ifdef TRIANGLES
-const float RELAXED = 1.2;
-const float NEAR_ENOUGH = 0.5;
-#else
-const float RELAXED = 2.2;
-const float NEAR_ENOUGH = 0.8;
-#endif
 
 #ifdef TRIANGLES
 // To where the ray meets the triangle below z; unchanged where there is none.
@@ -44,6 +40,36 @@ float onto_triangle(float z, vec2 plane_xy, vec2 drift) {
 }
 #endif
 
+#if defined(FRONT) || defined(BETWEEN)
+// Where what the ray passes over is as high as the ray, or nearly.
+float found_from_plane(
+    vec2 plane_xy, vec2 drift, float z, float tolerance, float level, out vec4 relief, out int steps
+) {
+    for (steps = 0; steps < most_steps; ++steps) {
+        relief = textureLod(relief_map, texture_coordinate(plane_xy + z * drift), level);
+        if (abs(z - relief.x) <= tolerance) break;
+        z = relief.x;
+    }
+    return relief.x;
+}
+#endif
+
+#if defined(GRAZING) || defined(BETWEEN)
+// A step that goes too deep is seen by less than a pixel, and the next comes up again.
+float found_by_cones(vec2 plane_xy, vec2 drift, float tolerance, out int steps) {
+    float reach = length(drift);
+    float z = top - search_origin;
+    vec2 origin_xy = plane_xy + search_origin * drift;
+    for (steps = 0; steps < most_steps; ++steps) {
+        vec2 found = textureLod(search_map, texture_coordinate(origin_xy + z * drift), 0.0).xy;
+        float clearance = z - found.x;
+        if (abs(clearance) <= tolerance) { z = found.x; break; }
+        z -= clearance * min(relaxed / (1.0 + found.y * reach), 1.0);
+    }
+    return z + search_origin;
+}
+#endif
+
 void main() {
     vec3 to_plane = canvas_position - to_canvas(cam_pos);
     vec2 drift = to_plane.xy / to_plane.z;  // of the ray per mm of height
@@ -52,50 +78,40 @@ void main() {
     float level = level_of_detail(canvas_position);
     vec2 plane_xy = canvas_position.xy - canvas_position.z * drift;
     float z = canvas_position.z;
-    int steps = 0;
-#ifdef PLANE
-    vec2 uv = texture_coordinate(canvas_position.xy);
-    vec4 relief = textureLod(relief_map, uv, level);
-#else
-#ifdef FRONT
-    float tolerance = 0.3 * budget / parallax;
-    vec2 uv;
-    vec4 relief;
-    for (; steps < most_steps; ++steps) {
-        uv = texture_coordinate(plane_xy + z * drift);
-        relief = textureLod(relief_map, uv, level);
-        if (abs(z - relief.x) <= tolerance) break;
-        z = relief.x;
-    }
-    z = relief.x;
-#else
-    float tolerance = NEAR_ENOUGH * budget / parallax;
-    float reach = length(drift);
-    z = top - search_origin;
-    vec2 origin_xy = plane_xy + search_origin * drift;
-    for (; steps < most_steps; ++steps) {
-        vec2 found = textureLod(search_map, texture_coordinate(origin_xy + z * drift), 0.0).xy;
-        float clearance = z - found.x;
-        if (abs(clearance) <= tolerance) { z = found.x; break; }
-        z -= clearance * min(RELAXED / (1.0 + found.y * reach), 1.0);
-    }
-    z += search_origin;
-#endif
-#ifdef TRIANGLES
-    z = onto_triangle(z, plane_xy, drift);
-    z = onto_triangle(z, plane_xy, drift);
-#endif
+    // From where the plane hides its error to where it is off by two budgets.
     float share = clamp(plane_error * parallax / budget - 1.0, 0.0, 1.0);
-    z = mix(canvas_position.z, z, share);
-#ifndef FRONT
-    vec2 uv = texture_coordinate(plane_xy + z * drift);
-    vec4 relief = textureLod(relief_map, uv, level);
+    int steps = 0;
+    vec4 relief;
+#if defined(FRONT) || defined(BETWEEN)
+    // Where nothing is to be searched yet, the plane itself is near enough.
+    float tolerance = mix(1.0, 0.3, share) * budget / parallax;
+    z = found_from_plane(plane_xy, drift, z, tolerance, level, relief, steps);
+#endif
+#if defined(GRAZING) || defined(BETWEEN)
+    int more;
+    float lower = found_by_cones(plane_xy, drift, near_enough * budget / parallax, more);
+    steps += more;
+#ifdef BETWEEN
+    z = mix(z, lower, grazing_share);
 #else
-    uv = texture_coordinate(plane_xy + z * drift);
+    z = lower;
+#endif
+#endif
 #ifdef TRIANGLES
+    float on_triangle = onto_triangle(z, plane_xy, drift);
+    z = mix(z, onto_triangle(on_triangle, plane_xy, drift), triangle_share);
+#endif
+#ifndef PLANE
+    z = mix(canvas_position.z, z, share);
+#endif
+    vec2 uv = texture_coordinate(plane_xy + z * drift);
+    // What was found from the plane is near enough to be shown; where it gives way, so does this.
+#if defined(BETWEEN)
+    relief = mix(relief, textureLod(relief_map, uv, level), max(grazing_share, triangle_share));
+#elif !defined(FRONT)
     relief = textureLod(relief_map, uv, level);
-#endif
-#endif
+#elif defined(TRIANGLES)
+    relief = mix(relief, textureLod(relief_map, uv, level), triangle_share);
 #endif
     if (relief.w < 0.5) MISS(steps);
     vec3 p = vec3(plane_xy + z * drift, z);

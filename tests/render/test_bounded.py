@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from synthetic_copy import make_copy, strokes
 
 from render.bounded import Search, SurfaceShape
 from render.errors import RenderError
+from render.painter import BACKGROUND
 from render.painting_maps import PaintingMaterial
 from render.painting_node import Mode
 from render.views import NamedView, View, named_view
@@ -89,6 +92,51 @@ def test_needs_change_from_a_plane_to_a_search_as_the_camera_nears(copy):
     assert found[-1] is not Search.PLANE
     # Nothing jumps: the plane moves smoothly from where it hides its error to the median.
     assert np.abs(np.diff(planes)).max() < 0.05
+
+
+def test_nothing_jumps_where_one_search_gives_way_to_another(painter, copy):
+    shape = SurfaceShape.of(copy.height_field, PaintingMaterial(copy).height_levels)
+
+    def way(view):
+        pixel_angle = 2 * np.tan(view.field_of_view / 2) / HEIGHT
+        needs = shape.needs(view.position, pixel_angle, 0.25)
+        return needs.search, needs.level, needs.heading, needs.triangle_share > 0
+
+    views = [
+        View(np.deg2rad(-90), np.deg2rad(elevation), distance)
+        for elevation, distance in zip(
+            np.linspace(80, 20, 60), np.geomspace(3000, 60, 60), strict=True
+        )
+    ]
+    switches = 0
+    for first, last in pairwise(views):
+        if way(first) == way(last):
+            continue
+        begin, end = 0.0, 1.0
+        for _ in range(20):
+            middle = 0.5 * (begin + end)
+            if way(between(first, last, middle)) == way(first):
+                begin = middle
+            else:
+                end = middle
+        pictures = [
+            painter.paint(
+                *(copy, between(first, last, share)), mode=Mode.BOUNDED, width=WIDTH, height=HEIGHT
+            ).radiance
+            for share in (begin, end)
+        ]
+        jump = np.abs(pictures[0] - pictures[1])[pictures[0] != BACKGROUND[0]]
+        assert jump.mean() < 1e-4
+        switches += 1
+    assert switches >= 4
+
+
+def between(first, last, share):
+    return View(
+        first.azimuth,
+        first.elevation + share * (last.elevation - first.elevation),
+        first.distance_mm + share * (last.distance_mm - first.distance_mm),
+    )
 
 
 @pytest.mark.parametrize("budget", [0.0, -1.0, np.nan, np.inf])
