@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -34,6 +34,9 @@ def bench(
         Path | None,
         typer.Option(metavar="DIR", exists=True, file_okay=False, help="Draw its pictures here."),
     ] = None,
+    part: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Measure this part alone; repeatable.")
+    ] = None,
 ) -> None:
     """Measure a stage and hold its figures against their bounds.
 
@@ -50,8 +53,18 @@ def bench(
     from workstation.json_output import write_json
 
     measure = importlib.import_module(f"workstation.benchmarks.{which}").bench
-    if pictures is not None and "pictures" not in inspect.signature(measure).parameters:
-        raise typer.BadParameter(f"{which} draws none", param_hint="--pictures")
-    records = measure() if pictures is None else measure(pictures=pictures)
+    taken = inspect.signature(measure).parameters
+    chosen: dict[str, Any] = {}
+    if pictures is not None:
+        if "pictures" not in taken:
+            raise typer.BadParameter(f"{which} draws none", param_hint="--pictures")
+        chosen["pictures"] = pictures
+    if part:
+        known = list(taken["parts"].default) if "parts" in taken else []
+        if not set(part) <= set(known):
+            has = f"has {', '.join(known)}" if known else "has no parts"
+            raise typer.BadParameter(f"{which} {has}", param_hint="--part")
+        chosen["parts"] = part
+    records = measure(**chosen)
     print_records(records)
     write_json(json, [record.as_json() for record in records])
