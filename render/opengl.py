@@ -10,14 +10,11 @@ from __future__ import annotations
 import os
 
 from render.errors import RenderError
-from render.windows import in_windows
 
 os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
 os.environ.setdefault("PYGLET_HEADLESS", "true")
 
 _INSTALL = "install Debian's libegl1, libgl1 and libgl1-mesa-dri"
-if in_windows():
-    _INSTALL += ", and for windows libx11-6, libxrandr2 and libglx-mesa0"
 _LEAST = (4, 1)
 
 # Without its libraries OpenGL's binding fails while it is imported, in several ways.
