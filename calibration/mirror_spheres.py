@@ -28,6 +28,12 @@ _STEP_PX = 0.01
 _SPOT_LEVEL = 0.2
 # Standard error of its middle times the root of its pixels.
 _SPOT_SIGMA = 0.2
+_LEAST_SIGMA_PX = 0.02
+# Pixels of a spot whose profile is not fitted: its edge tells as much.
+_LARGE_SPOT = 150
+_LEAST_SAMPLES = 16
+# By which a spot's profile differs from the one that is fitted, relative.
+_PROFILE_ERROR = 0.05
 
 
 @dataclass(frozen=True)
@@ -232,10 +238,63 @@ def find_highlight(
     weight = np.where(spots == largest, np.minimum(image, saturation) - level, 0.0)
     middle = center_of_mass(weight)
     pixel = np.array([middle[1], middle[0]])
+    size = float(sizes.max())
     if np.hypot(*(pixel - [column, row])) > 0.93 * radius:
         raise CalibrationError("the highlight is at the edge of the sphere, where it is distorted")
-    # Single pixels sample a spot of k pixels; see the test that holds this to spots of many places.
-    return pixel, float(max(0.03, _SPOT_SIGMA / np.sqrt(sizes.max())))
+    fitted = _fit_spot(np.where(disc, image, np.nan), pixel, size, saturation, floor, noise)
+    if fitted is not None:
+        return fitted
+    return pixel, float(max(_LEAST_SIGMA_PX, _SPOT_SIGMA / np.sqrt(size)))
+
+
+def _fit_spot(
+    image: NDArray[np.float64],
+    pixel: NDArray[np.float64],
+    size: float,
+    saturation: float,
+    floor: float,
+    noise: float,
+) -> tuple[NDArray[np.float64], float] | None:
+    """Middle of a small spot by an elliptic Moffat profile, and its error; None if it is none.
+
+    The profile, (1 + r²)^-β, is that of stars and of rough mirrors (A. F. J. Moffat, 1969).
+    """
+    from scipy.optimize import least_squares
+
+    if size > _LARGE_SPOT:
+        return None
+    reach = np.ceil(1.6 * np.sqrt(size / np.pi) + 2)
+    rows, cols = np.indices(image.shape)
+    known = np.isfinite(image) & (image < saturation)
+    known &= np.hypot(cols - pixel[0], rows - pixel[1]) <= reach
+    if known.sum() < _LEAST_SAMPLES:
+        return None
+    x, y, seen = cols[known] - pixel[0], rows[known] - pixel[1], image[known] - floor
+    top = float(seen.max())
+    error = np.hypot(max(noise, 1e-3 * top), _PROFILE_ERROR * np.maximum(seen, 0))
+    width = np.sqrt(size / np.pi) / 1.3
+
+    def profile(p: NDArray[np.float64]) -> NDArray[np.float64]:
+        u, v = x - p[0], y - p[1]
+        along, across = (p[4] * u + p[5] * v), p[6] * v
+        return np.asarray(p[2] * (1 + along**2 + across**2) ** -p[3])
+
+    start = np.array([0, 0, top, 2.0, 1 / width, 0, 1 / width])
+    low = np.array([-reach, -reach, 0.1 * top, 1.0, 0.05, -5.0, 0.05])
+    high = np.array([reach, reach, 1e4 * top, 8.0, 5.0, 5.0, 5.0])
+    found = least_squares(
+        lambda p: (profile(p) - seen) / error,
+        start,
+        bounds=(low, high),
+        x_scale=np.abs(start) + 0.1,
+    )
+    freedom = len(seen) - len(start)
+    excess = 2 * found.cost / freedom
+    covariance = np.linalg.pinv(found.jac.T @ found.jac, hermitian=True)[:2, :2] * max(excess, 1.0)
+    sigma = float(np.sqrt(0.5 * np.trace(covariance)))
+    if not (found.success and sigma < _SPOT_SIGMA / np.sqrt(size)):
+        return None
+    return pixel + found.x[:2], max(_LEAST_SIGMA_PX, sigma)
 
 
 def highlight_direction_sigma(

@@ -31,6 +31,9 @@ _LARGEST_RADIUS = 0.25
 _LEAST_EDGES = 0.6 * 240
 _LARGEST_MISS_PX = 1.0
 _DARK = 0.7
+# Shares of what is bright below which something is dark, and of its circle that a disc fills.
+_DARKNESS = (0.15, 0.3, 0.45)
+_ROUND = 0.8
 _MARGIN = 1.05
 _LEAST_HIGHLIGHTS = 6
 
@@ -155,7 +158,7 @@ def sphere_highlights(
 
 
 def _discs(picture: NDArray[np.float32]) -> list[Circle]:
-    """Candidates, the clearest first."""
+    """Candidates: dark spots as large as the circles about them, and circles of edges."""
     import cv2
 
     scale = min(1.0, _SEARCH_WIDTH / picture.shape[1])
@@ -163,7 +166,17 @@ def _discs(picture: NDArray[np.float32]) -> list[Circle]:
     low, high = np.percentile(small, [1, 99])
     grey = np.clip((small - low) / max(high - low, 1e-12) * 255, 0, 255).astype(np.uint8)
     grey = cv2.GaussianBlur(grey, (0, 0), 1.0)
-    least = max(_LEAST_RADIUS * scale, 4.0)
+    least, largest = max(_LEAST_RADIUS * scale, 4.0), _LARGEST_RADIUS * min(small.shape)
+    found: list[Circle] = []
+    for share in _DARKNESS:
+        outlines, _ = cv2.findContours(
+            (grey < 255 * share).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
+        )
+        for outline in outlines:
+            (column, row), radius = cv2.minEnclosingCircle(outline)
+            round_enough = cv2.contourArea(outline) > _ROUND * np.pi * radius**2
+            if least < radius < largest and round_enough:
+                found.append((column, row, radius))
     circles = cv2.HoughCircles(
         grey,
         cv2.HOUGH_GRADIENT_ALT,
@@ -172,15 +185,12 @@ def _discs(picture: NDArray[np.float32]) -> list[Circle]:
         param1=120,
         param2=0.7,
         minRadius=int(least),
-        maxRadius=int(_LARGEST_RADIUS * min(small.shape)),
+        maxRadius=int(largest),
     )
-    if circles is None:
-        return []
+    if circles is not None:
+        found += [tuple(one[:3]) for one in circles.reshape(-1, circles.shape[-1]).tolist()]
     # Pixels are counted from their centres, before and after.
-    return [
-        ((c + 0.5) / scale - 0.5, (r + 0.5) / scale - 0.5, radius / scale)
-        for c, r, radius in np.asarray(circles, np.float64).reshape(-1, circles.shape[-1])[:, :3]
-    ]
+    return [((c + 0.5) / scale - 0.5, (r + 0.5) / scale - 0.5, k / scale) for c, r, k in found]
 
 
 def _refined(

@@ -15,11 +15,15 @@ _DPI = 150
 
 def light_picture(lights: LightSection) -> bytes:
     """The lamp's positions in space, coloured by what the model leaves, as PNG."""
-    figure = Figure(figsize=(4.6, 4.2), dpi=_DPI)
+    figure = Figure(figsize=(4.6, 3.7), dpi=_DPI)
     FigureCanvasAgg(figure)
-    axes = figure.add_subplot(projection="3d")
-    x, y, z = lights.position_mm.T
-    shown = axes.scatter(x, y, z, c=lights.residual_deg, cmap="viridis", s=18)
+    axes = figure.add_axes((0.0, 0.02, 0.78, 0.98), projection="3d")
+    seen = np.isfinite(lights.residual_deg)
+    # Poses without a highlight are known by the model alone.
+    axes.scatter(*lights.position_mm[~seen].T, color="#999", s=12)
+    shown = axes.scatter(
+        *lights.position_mm[seen].T, c=lights.residual_deg[seen], cmap="viridis", s=18
+    )
     for one in lights.position_mm:
         axes.plot(*np.stack([one, one * [1, 1, 0]], axis=1), color="#bbb", lw=0.5)
     axes.scatter([0], [0], [0], color="#b3402a", marker="s", s=24)
@@ -27,7 +31,7 @@ def light_picture(lights: LightSection) -> bytes:
     axes.set_ylabel("Y, mm", fontsize=8)
     axes.set_zlabel("Z, mm", fontsize=8)
     axes.tick_params(labelsize=7)
-    bar = figure.colorbar(shown, ax=axes, shrink=0.6, pad=0.12)
+    bar = figure.colorbar(shown, cax=figure.add_axes((0.85, 0.2, 0.03, 0.6)))
     bar.set_label("residual, °", fontsize=8)
     bar.ax.tick_params(labelsize=7)
     return figure_png(figure, dpi=_DPI)

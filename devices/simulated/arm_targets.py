@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from devices.errors import DeviceError
 from devices.simulated.scene_objects import PlacedSurface, PolishedSphere, SceneObject, Wall
 from devices.simulated.shading_kernels import reflected
 from devices.simulated.surface import Surface
 
-# Of the field's width: the plate's width, and how far the spheres' middles are from its middle.
-_PLATE = 0.66
-_ASIDE = 0.41
+# Of a sphere's radius: from its middle to the field's edge, and to the plate's.
+_TO_FIELD = 1.4
+_TO_PLATE = 1.25
 # Of the field's height.
 _PLATE_HEIGHT = 0.82
 _RAISED = 0.27
@@ -39,8 +40,16 @@ def place_arm_targets(
         In the plane in which paintings hang.
     around : tuple of SceneObject
         Two spheres, one low on the left and one high on the right, and a wall well behind.
+
+    Raises
+    ------
+    DeviceError
+        The spheres leave no room for the plate.
     """
-    plate_mm = _PLATE * width_mm, _PLATE_HEIGHT * height_mm
+    aside = 0.5 * width_mm - _TO_FIELD * sphere_mm
+    plate_mm = 2 * (aside - _TO_PLATE * sphere_mm), _PLATE_HEIGHT * height_mm
+    if not plate_mm[0] > 2 * sphere_mm:
+        raise DeviceError(f"spheres of {sphere_mm:g} mm leave no room in {width_mm:g} mm")
     shape = round(plate_mm[1] / _PITCH_MM) + 1, round(plate_mm[0] / _PITCH_MM) + 1
     plate = Surface.uniform(
         np.zeros(shape, np.float32),
@@ -50,7 +59,7 @@ def place_arm_targets(
         roughness=1.0,
         back_mm=-4.0,
     )
-    middle = np.array([_ASIDE * width_mm, _RAISED * height_mm, 0.5 * sphere_mm])
+    middle = np.array([aside, _RAISED * height_mm, 0.5 * sphere_mm])
     spheres = tuple(PolishedSphere(middle * [side, side, 1.0], sphere_mm) for side in (-1.0, 1.0))
     return PlacedSurface(plate), (*spheres, Wall(-_BEHIND_MM, albedo=_WHITE))
 
