@@ -8,6 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acquisition.scan import plan_scan, scan
 from acquisition.session_writer import SessionWriter
@@ -19,6 +20,7 @@ from devices.simulated.truth import truth_of
 from fitting.digital_copy import DigitalCopy
 
 EXPOSURE_S = 0.045
+_ROUNDS = 6
 
 
 @dataclass(frozen=True)
@@ -72,19 +74,25 @@ def true_geometry(rig: SimulatedRig) -> RigGeometry:
     return RigGeometry(_lens(camera), _lens(projector), pose)
 
 
-def measure_height_error(copy: DigitalCopy, rig: SimulatedRig) -> HeightError:
+def measure_height_error(
+    copy: DigitalCopy, rig: SimulatedRig, *, rt_true_canvas: NDArray[np.float64] | None = None
+) -> HeightError:
     """Compare every texel of a copy with the painting below it.
 
     Each texel is taken as the point in space that the copy says it is, and its height above the
     painting's true frame is compared with the true surface there.
+
+    Parameters
+    ----------
+    copy : DigitalCopy
+    rig : SimulatedRig
+    rt_true_canvas : (6,) array, optional
+        Pose of the canvas in the true frame, as of :func:`align_to_truth`; by default as the copy
+        has it, if it was made with the rig's true calibration.
     """
-    field = copy.height_field
-    x, y = np.meshgrid(field.texel_x_mm(), field.texel_y_mm())
-    local = np.stack([x, y, field.height], axis=-1)[field.mask].astype(np.float64)
-    rt_true_canvas = compose(invert(_pose(rig.camera_lens)), field.rt_cam_canvas)
-    points = transform(rt_true_canvas, local)
+    points = points_in_truth(copy, rig, rt_true_canvas)
     error = points[:, 2] - truth_of(rig.scene).height_at(points[:, 0], points[:, 1])
-    sigma = np.sqrt(field.variance[field.mask].astype(np.float64))
+    sigma = np.sqrt(copy.height_field.variance[copy.height_field.mask].astype(np.float64))
     half = np.array(rig.painting.canvas_mm) / 2
     beyond = (np.abs(points[:, :2]) > half).any(axis=1)
     return HeightError(
@@ -95,6 +103,48 @@ def measure_height_error(copy: DigitalCopy, rig: SimulatedRig) -> HeightError:
         len(error),
         int(beyond.sum()),
     )
+
+
+def points_in_truth(
+    copy: DigitalCopy, rig: SimulatedRig, rt_true_canvas: NDArray[np.float64] | None = None
+) -> NDArray[np.float64]:
+    """Measured texels (n, 3) in the painting's true frame, mm; see :func:`measure_height_error`."""
+    field = copy.height_field
+    if rt_true_canvas is None:
+        rt_true_canvas = compose(rt_true_camera(rig), field.rt_cam_canvas)
+    x, y = np.meshgrid(field.texel_x_mm(), field.texel_y_mm())
+    local = np.stack([x, y, field.height], axis=-1)[field.mask].astype(np.float64)
+    return transform(rt_true_canvas, local)
+
+
+def align_to_truth(copy: DigitalCopy, rig: SimulatedRig) -> NDArray[np.float64]:
+    """Pose (6,) of the canvas at which its heights fit the true painting best.
+
+    A calibration leaves the rig's frame free by as much as it is uncertain: the lens's centre and
+    the camera's direction can hardly be told apart, and a copy is no worse for being elsewhere.
+    """
+    truth = truth_of(rig.scene)
+    pose = compose(rt_true_camera(rig), copy.height_field.rt_cam_canvas)
+    step = 0.5 * copy.height_field.pitch_mm
+    for _ in range(_ROUNDS):
+        points = points_in_truth(copy, rig, pose)
+        x, y, z = points.T
+        slope_x = (truth.height_at(x + step, y) - truth.height_at(x - step, y)) / (2 * step)
+        slope_y = (truth.height_at(x, y + step) - truth.height_at(x, y - step)) / (2 * step)
+        off = z - truth.height_at(x, y)
+        # How a small turn and shift of the canvas change what it is off by.
+        normal = np.stack([-slope_x, -slope_y, np.ones_like(z)], axis=1)
+        lever = np.concatenate([np.cross(points, normal), normal], axis=1)
+        # Edges of strokes, which texels cut off, shall not pull.
+        usual = np.abs(off - np.median(off)) < 4 * 1.4826 * np.median(np.abs(off - np.median(off)))
+        move = -np.linalg.lstsq(lever[usual], off[usual], rcond=None)[0]
+        pose = compose(move, pose)
+    return pose
+
+
+def rt_true_camera(rig: SimulatedRig) -> NDArray[np.float64]:
+    """Takes points of the scanning camera's frame to the painting's true one, (6,)."""
+    return invert(_pose(rig.camera_lens))
 
 
 def _pose(lens: SimulatedLens) -> np.ndarray:

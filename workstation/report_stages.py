@@ -19,7 +19,7 @@ def stages_section(run: dict[str, Any], sessions: tuple[Session, ...]) -> Sectio
     sessions : tuple of Session
         What was processed.
     """
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for stage in run.get("stages", ()):
         skipped = stage["skipped"]
         took = stage["saved_s"] if skipped else stage["seconds"]
@@ -44,7 +44,7 @@ def stages_section(run: dict[str, Any], sessions: tuple[Session, ...]) -> Sectio
 
 
 def _skipped_frames(sessions: tuple[Session, ...]) -> list[tuple[str, ...]]:
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for session in sessions:
         if not session.skipped:
             continue

@@ -258,7 +258,7 @@ def _reflectance_errors(errors: dict[str, Any]) -> list[tuple[str, ...]]:
         ("the same, mean ΔE2000", "heldout_delta_e", "{:.2f}"),
     )
     predicted = {"registration_texture_px"}
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for title, name, form in named:
         if isinstance(errors.get(name), float):
             said = form.format(errors[name])

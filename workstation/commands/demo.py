@@ -1,11 +1,19 @@
-"""``impasto demo``: scan, process and render a simulated painting."""
+"""``impasto demo``: the whole way from an unknown rig to a copy, on a simulated painting."""
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+
+class Size(StrEnum):
+    """Those of :class:`workstation.demo_recording.DemoSize`, without what importing that takes."""
+
+    USUAL = "usual"
+    TINY = "tiny"
 
 
 def register(app: typer.Typer) -> None:
@@ -16,78 +24,44 @@ def register(app: typer.Typer) -> None:
 def demo(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder to make.")] = Path("out/demo"),
     seed: Annotated[int, typer.Option(min=0, help="Of the painting and the noise.")] = 0,
+    size: Annotated[
+        Size, typer.Option(help="A tiny one has small pictures, and a rig that is declared.")
+    ] = Size.USUAL,
     force: Annotated[bool, typer.Option(help="Replace the folder if it exists.")] = False,
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write figures here.")] = None,
 ) -> None:
-    """Scan a simulated painting, make its copy, render it, and compare it with the truth.
+    """Digitise a simulated painting, from a board and mirror spheres to a copy and its report.
+
+    The rig is calibrated, the painting scanned and photographed, its copy made, rendered, and held
+    against photographs that the fit has not seen and against the truth.
 
     Example:
 
         impasto demo --out out/demo
     """
-    import time
-
     from acquisition.atomic_files import folder_in_progress
     from acquisition.errors import SessionError
-    from devices.simulated.rig import demo_rig
-    from fitting.copy_files import write_copy
-    from render.painter import Painter
-    from render.painting_node import Mode
-    from render.picture_files import write_picture
-    from render.views import NamedView, named_view
-    from workstation.demo_page import write_demo_page
-    from workstation.demonstration import measure_height_error, record_simulated_scan
-    from workstation.interruption import stop_if_requested
+    from workstation.demo_job import EXPECTED_S, REPORT_FILE, run_demo
+    from workstation.demo_recording import DemoSize
     from workstation.json_output import write_json
-    from workstation.processing import process_session
-    from workstation.progress import progress
+    from workstation.stage_progress import clock_text, stage_progress
 
-    if out.exists() and not (force and (out / "figures.json").is_file()):
+    if out.exists() and not (force and (out / REPORT_FILE).is_file()):
         raise SessionError(f"{out} exists already; choose another place, or add --force")
-    started = time.perf_counter()
+    chosen = DemoSize(size.value)
     with (
-        progress("demo", total=3 + len(NamedView)) as steps,
+        stage_progress("demo", EXPECTED_S[chosen]) as steps,
         folder_in_progress(out, replace=force) as folder,
     ):
-        steps.begin("painting and lighting the scene")
-        rig = demo_rig(seed=seed)
-        steps.advance()
-        steps.begin("scanning")
-        record_simulated_scan(rig, folder / "session", advance=lambda frame_id: stop_if_requested())
-        steps.advance()
-
-        def begin(stage: str) -> None:
-            steps.begin(stage)
-            steps.advance()
-
-        begin("processing")
-        done = process_session(folder / "session")
-        write_copy(done.copy, folder / "copy")
-        (folder / "renders").mkdir()
-        with Painter() as painter:
-            for view in NamedView:
-                steps.begin(f"rendering {view}")
-                camera = named_view(done.copy, view, aspect=4 / 3)
-                picture = painter.paint(done.copy, camera, mode=Mode.RELIEF)
-                write_picture(picture, folder / "renders" / f"{view}.png")
-                steps.advance()
-        error = measure_height_error(done.copy, rig)
-        figures = done.figures | {
-            "truth": {
-                "height_rms_mm": error.observed_rms_mm,
-                "height_rms_predicted_mm": error.predicted_rms_mm,
-                "height_rms_over_predicted": error.ratio,
-                "height_bias_mm": error.bias_mm,
-                "z_spread": error.spread,
-                "texels_outside_canvas": error.outside_canvas,
-            },
-            "total_seconds": round(time.perf_counter() - started, 2),
-        }
-        write_json(folder / "figures.json", figures)
-        write_demo_page(done, error, figures["total_seconds"], folder / "index.html")
+        figures = run_demo(folder, chosen, seed=seed, begin=steps.begin, done=steps.done)
+    truth, held = figures["truth"], figures["reflectance"]["held_out"]
     typer.echo(
-        f"height error {error.observed_rms_mm * 1000:.1f} µm RMS, predicted "
-        f"{error.predicted_rms_mm * 1000:.1f} µm (ratio {error.ratio:.2f}); "
-        f"{error.outside_canvas} texels outside the canvas\nopen {out / 'index.html'}"
+        f"height error {truth['height_rms_mm'] * 1000:.1f} µm RMS, predicted "
+        f"{truth['height_rms_predicted_mm'] * 1000:.1f} µm (ratio "
+        f"{truth['height_rms_over_predicted']:.2f}); photographs kept out of the fit "
+        f"{held['psnr_db']:.1f} dB, mean ΔE2000 {held['delta_e']:.2f}; "
+        f"{truth['texels_outside_canvas']} texels outside the canvas; "
+        f"{clock_text(figures['total_seconds'])}, {figures['peak_mb']:.0f} MB"
     )
+    typer.echo(f"open {out / 'index.html'}")
     write_json(json, figures)
