@@ -98,7 +98,7 @@ def folder_in_progress(destination: Path, *, replace: bool = False) -> Iterator[
     Raises
     ------
     FileExistsError
-        ``destination`` exists and ``replace`` is false.
+        ``destination`` exists and ``replace`` is false, or appeared meanwhile with files in it.
     """
     destination = Path(destination)
     if destination.exists() and not replace:
@@ -110,17 +110,19 @@ def folder_in_progress(destination: Path, *, replace: bool = False) -> Iterator[
     try:
         temporary.chmod(0o777 & ~_umask())
         yield temporary
-        _rename_folder(temporary, destination)
+        _rename_folder(temporary, destination, replace=replace)
     except BaseException:
         shutil.rmtree(temporary, ignore_errors=True)
         raise
     fsync_folder(destination.parent)
 
 
-def _rename_folder(temporary: Path, destination: Path) -> None:
+def _rename_folder(temporary: Path, destination: Path, *, replace: bool) -> None:
     if not destination.exists() or (destination.is_dir() and not any(destination.iterdir())):
         temporary.rename(destination)
         return
+    if not replace:
+        raise FileExistsError(f"{destination} exists already: it appeared meanwhile")
     # A folder cannot be renamed over a full one: step the old one aside, and back on failure.
     aside = Path(tempfile.mkdtemp(prefix=f".{destination.name}{_MARK}", dir=destination.parent))
     destination.rename(aside / "old")

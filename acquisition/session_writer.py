@@ -104,10 +104,10 @@ class SessionWriter:
         path = Path(path)
         if path.exists() and (not path.is_dir() or any(path.iterdir())):
             raise SessionError(f"{path} exists already; choose another place, or resume it")
-        with (
-            _explaining(path, "no frame is recorded yet"),
-            folder_in_progress(path, replace=True) as begun,
-        ):
+        # An empty folder gives way; one in which another process begins a session meanwhile stays.
+        with contextlib.suppress(OSError):
+            path.rmdir()
+        with _explaining(path, "no frame is recorded yet"), folder_in_progress(path) as begun:
             (begun / FRAMES_FOLDER).mkdir()
             if rig_toml is not None:
                 write_bytes(begun / RIG_FILE, rig_toml.encode())

@@ -89,6 +89,18 @@ def test_a_folder_is_replaced_only_when_that_is_asked_for(tmp_path):
     assert content_of(tmp_path) == {"copy/2": b"2"}
 
 
+def test_what_appears_while_a_folder_is_filled_stays(tmp_path):
+    destination = tmp_path / "copy"
+    with (
+        pytest.raises(FileExistsError, match="appeared meanwhile"),
+        folder_in_progress(destination) as folder,
+    ):
+        (folder / "a").write_bytes(b"1")
+        destination.mkdir()
+        (destination / "b").write_bytes(b"2")
+    assert content_of(tmp_path) == {"copy/b": b"2"}
+
+
 def test_what_a_killed_writer_left_is_told_from_real_files(tmp_path):
     (tmp_path / "frames").mkdir()
     (tmp_path / ".keep.me").write_bytes(b"")

@@ -200,6 +200,24 @@ def test_other_ends_of_lines_in_the_manifest_are_told(session, end):
             Session.open(session)
 
 
+def test_of_two_recordings_that_begin_at_once_the_second_is_refused(
+    tmp_path, plan, frames, monkeypatch
+):
+    out = tmp_path / "s"
+    out.mkdir()  # an empty folder is no hindrance
+    (tmp_path / "c").mkdir()
+
+    def begin_another(source, destination):
+        monkeypatch.undo()
+        record_all(out, plan, frames)
+
+    monkeypatch.setattr("acquisition.session_writer._copy_files", begin_another)
+    with pytest.raises(SessionError, match="exists already"):
+        SessionWriter.create(out, plan, calibration=tmp_path / "c")
+    np.testing.assert_array_equal(Session.open(out).read_frame("0000"), frames["0000"])
+    assert {f.name for f in tmp_path.iterdir()} == {"s", "c"}
+
+
 def test_a_complete_session_is_neither_resumed_nor_overwritten(session, plan):
     with pytest.raises(SessionError, match="complete"):
         SessionWriter.resume(session)
