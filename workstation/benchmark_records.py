@@ -57,18 +57,23 @@ class Record:
         return asdict(self) | {"sense": str(self.sense), "holds": self.holds}
 
 
+def limits_text(record: Record) -> str:
+    """A record's bound, in words."""
+    bound = record.bound
+    limits = f"{bound[0]:g} to {bound[1]:g}" if isinstance(bound, tuple) else f"{bound:g}"
+    return f"{record.sense} {limits}"
+
+
 def print_records(records: list[Record]) -> None:
     """Print records as a table on standard output."""
     table = Table()
     for heading in ("figure", "value", "bound", "holds", "note"):
         table.add_column(heading, no_wrap=heading == "figure", overflow="fold")
     for record in records:
-        bound = record.bound
-        limits = f"{bound[0]:g} to {bound[1]:g}" if isinstance(bound, tuple) else f"{bound:g}"
         table.add_row(
             record.name,
             f"{record.value:.4g} {record.unit}",
-            f"{record.sense} {limits}",
+            limits_text(record),
             "yes" if record.holds else "NO",
             record.note,
         )

@@ -10,7 +10,7 @@ import typer
 
 
 class Benchmark(StrEnum):
-    """The benchmarks there are: modules of :mod:`workstation.benchmarks`."""
+    """The benchmarks there are: modules of :mod:`workstation.benchmarks`, and all of them."""
 
     ACQUIRE = "acquire"
     DECODE = "decode"
@@ -18,8 +18,10 @@ class Benchmark(StrEnum):
     CALIBRATE = "calibrate"
     REFLECTANCE = "reflectance"
     RENDER = "render"
+    PIPELINE = "pipeline"
     DEMO = "demo"
     STRESS = "stress"
+    ALL = "all"
 
 
 def register(app: typer.Typer) -> None:
@@ -34,6 +36,10 @@ def bench(
         Path | None,
         typer.Option(metavar="DIR", exists=True, file_okay=False, help="Draw its pictures here."),
     ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Of all: make this folder of records and a page."),
+    ] = None,
     part: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="Measure this part alone; repeatable.")
     ] = None,
@@ -45,6 +51,8 @@ def bench(
     Example:
 
         impasto bench surface --json surface.json
+
+        impasto bench all --out benchmarks/
     """
     import importlib
     import inspect
@@ -52,6 +60,13 @@ def bench(
     from workstation.benchmark_records import print_records
     from workstation.json_output import write_json
 
+    if (which is Benchmark.ALL) != (out is not None):
+        raise typer.BadParameter("all benchmarks go to a folder, and no others", param_hint="--out")
+    if which is Benchmark.ALL and (pictures or part):
+        raise typer.BadParameter("all benchmarks have their pictures and parts in --out")
+    if out is not None:
+        _bench_all(out, json)
+        return
     measure = importlib.import_module(f"workstation.benchmarks.{which}").bench
     taken = inspect.signature(measure).parameters
     chosen: dict[str, Any] = {}
@@ -68,3 +83,19 @@ def bench(
     records = measure(**chosen)
     print_records(records)
     write_json(json, [record.as_json() for record in records])
+
+
+def _bench_all(out: Path, json: Path | None) -> None:
+    from workstation.benchmark_page import run_benchmarks
+    from workstation.benchmark_records import print_records
+    from workstation.json_output import write_json
+
+    every = [str(one) for one in Benchmark if one is not Benchmark.ALL]
+    done = run_benchmarks(every, out)
+    print_records(done.records)
+    write_json(json, [record.as_json() for record in done.records])
+    for name, why in done.failed.items():
+        typer.echo(f"warning: {name} failed: {why}", err=True)
+    typer.echo(f"open {out / 'index.html'}")
+    if done.failed:
+        raise typer.Exit(3)

@@ -1,0 +1,107 @@
+from __future__ import annotations
+
+import json
+import sys
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from acquisition.errors import SessionError
+from devices.errors import ImpastoError
+from workstation.benchmark_page import run_benchmarks
+from workstation.benchmark_records import Record, Sense
+from workstation.benchmarks.pipeline import _beaten_in_heights, _beaten_in_reflectance, settings
+from workstation.benchmarks.pipeline_plots import draw_curves
+from workstation.benchmarks.pipeline_scenes import Capture, Point, RecordedScene, pareto_front
+from workstation.commands import bench
+from workstation.quality import Quality, quality_options
+
+
+def record(name, value):
+    return Record(name=name, value=value, unit="s", bound=2.0, sense=Sense.AT_MOST)
+
+
+@pytest.fixture
+def three(monkeypatch):
+    def drawing(*, pictures):
+        cv2.imwrite(str(pictures / "a-curve.png"), np.zeros((4, 5), np.uint8))
+        return [record("one", 1.0)]
+
+    def failing():
+        raise ImpastoError("no light")
+
+    for name, measure in (
+        ("drawing", drawing),
+        ("failing", failing),
+        ("slow", lambda: [record("two", 3.0)]),
+    ):
+        module = SimpleNamespace(bench=measure)
+        monkeypatch.setitem(sys.modules, f"workstation.benchmarks.{name}", module)
+    return ["drawing", "failing", "slow"]
+
+
+def test_every_benchmark_runs_even_if_one_fails(three, tmp_path):
+    done = run_benchmarks(three, tmp_path / "out")
+    assert [one.name for one in done.records] == ["one", "two"]
+    assert done.failed == {"failing": "no light"}
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        "drawing",
+        "drawing.json",
+        "index.html",
+        "slow.json",
+    ]
+    assert json.loads((tmp_path / "out" / "slow.json").read_text())[0]["holds"] is False
+    page = (tmp_path / "out" / "index.html").read_text()
+    for said in ("1 of 2 figures", "It failed: no light", "a curve", "two: 3 s, bound at most 2"):
+        assert said in page
+    with pytest.raises(SessionError, match="exists already"):
+        run_benchmarks(three, tmp_path / "out")
+
+
+@pytest.mark.parametrize("words", [["all"], ["surface", "--out", "x"], ["all", "--part", "a"]])
+def test_a_folder_goes_with_all_benchmarks_and_no_others(words):
+    app = typer.Typer()
+    bench.register(app)
+    assert CliRunner().invoke(app, words).exit_code == 2
+
+
+def point(seconds, height, decibel, default=False):
+    return Point("c", f"{seconds}", seconds, height, decibel, 9, 9, default)
+
+
+def test_the_front_is_what_nothing_beats(tmp_path):
+    quick, usual, slow = point(1, 3, 20), point(2, 2, 30, default=True), point(4, 1, 31)
+    beaten = point(3, 2.5, 29)
+    points = [slow, beaten, usual, quick]
+    assert pareto_front(points) == [quick, usual, slow]
+    better = point(1.5, 1.5, 30.5)
+    assert _beaten_in_heights([*points, better], usual) == [better]
+    assert _beaten_in_reflectance([*points, better], usual) == [better]
+    assert _beaten_in_heights(points, usual) == _beaten_in_reflectance(points, usual) == []
+    draw_curves(points, tmp_path / "p.png")
+    assert cv2.imread(str(tmp_path / "p.png")).shape[1] > 1000
+
+
+def test_one_setting_is_the_default_and_it_is_that_of_the_command():
+    defaults = [(capture, options) for _, _, capture, options, default in settings() if default]
+    assert defaults == [(Capture(), quality_options(Quality.NORMAL))]
+
+
+def test_a_recorded_scene_is_judged_by_photographs_that_it_does_not_see(tmp_path):
+    scene = RecordedScene.of("small_oil", tmp_path / "scene", width=96)
+    capture = Capture(steps=4, lamp_poses=6)
+    draft = quality_options(Quality.DRAFT)
+    found = scene.measure(capture, draft, curve="quality", name="draft", default=False)
+    assert 0.05 < found.height_mm < 0.4
+    assert 14 < found.heldout_db < 40
+    assert found.seconds > 0
+    assert {path.name for path in scene.folder.iterdir() if path.is_dir()} == {
+        "rig",
+        "scan-4-1",
+        "photographs-6",
+        "judges",
+    }
