@@ -29,11 +29,9 @@ from fitting.relief_picture import draw_relief
 from workstation.interruption import interruption_held
 from workstation.json_output import write_json
 from workstation.processing import Processed
-from workstation.stage_cache import digest_of_files
 
 HELD_OUT_FOLDER = "held-out"
 HELD_OUT_FILE = "held-out.json"
-_WRITTEN = "written.json"
 # Of a picture in a copy; reports show them no larger.
 _LARGEST_SIDE_PX = 1000
 
@@ -63,19 +61,8 @@ def check_copy_destination(out: Path, session_digest: str, *, force: bool) -> No
     check_destination(out, replace=force or same)
 
 
-def is_written(out: Path, stages: Path | None, key: str, *, ggx: bool) -> bool:
-    """Whether the copy is there, as it was written for this key."""
-    if stages is None or not out.is_dir():
-        return False
-    try:
-        note = json.loads((stages / _WRITTEN).read_text())
-    except (OSError, ValueError):
-        return False
-    return bool(note == {"key": key, "ggx": ggx, "files": digest_of_files(out)})
-
-
-def write_processed(done: Processed, out: Path, *, ggx: bool, stages: Path | None) -> None:
-    """Write a copy, the pictures beside it, and a note by which it is known as up to date.
+def write_processed(done: Processed, out: Path, *, ggx: bool = False) -> None:
+    """Write a copy and the pictures beside it.
 
     A copy that is there is replaced; see :func:`check_copy_destination`.
 
@@ -87,9 +74,6 @@ def write_processed(done: Processed, out: Path, *, ggx: bool, stages: Path | Non
     with interruption_held():
         write_pictured(done.copy, out, done.comparisons, ggx=ggx, replace=True)
         draw_relief(done.copy, out.with_name(f"{out.name}-relief.png"))
-        if stages is not None and stages.is_dir():
-            note = {"key": done.key, "ggx": ggx, "files": digest_of_files(out)}
-            write_json(stages / _WRITTEN, note)
 
 
 def write_pictured(

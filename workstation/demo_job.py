@@ -150,7 +150,7 @@ def run_demo(
     cache = StageCache(None, begin, done=stages.ended)
     processed = process_demo(sessions, folder, capture, cache)
     copy = folder / COPY_FOLDER
-    write_processed(processed, copy, ggx=False, stages=None)
+    write_processed(processed, copy)
     stages.run(RENDERING, lambda: _render(processed.copy, folder / "renders", capture.render_px))
     lamps = LampTable.load(folder / LAMPS_FILE)
     truth = stages.run(TRUTH, lambda: measure_truth(processed, rig, lamps))

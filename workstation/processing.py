@@ -138,15 +138,6 @@ class Processed:
         """What was ambiguous or doubtful on the way."""
         return tuple(self._scan_figures.get()["warnings"])
 
-    @property
-    def key(self) -> str:
-        """Differs where the copy does."""
-        photographs = self.photographs
-        parts = [self._relief.key, self._scan_figures.key, self.session.digest]
-        if photographs is not None:
-            parts += [photographs.digest, photographs.added.key]
-        return hashlib.sha256(" ".join(parts).encode()).hexdigest()
-
     @cached_property
     def copy(self) -> DigitalCopy:
         """The digital copy, with its provenance."""

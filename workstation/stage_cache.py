@@ -216,7 +216,9 @@ def digest_of_files(folder: Path) -> str:
 def _key(name: str, depends_on: tuple[str, ...], parameters: Any) -> str:
     plain = is_dataclass(parameters) and not isinstance(parameters, type)
     stated = asdict(parameters) if plain else parameters
-    what = json.dumps([_program(), name, list(depends_on), stated], default=_plain, sort_keys=True)
+    what = json.dumps(
+        [digest_of_program(), name, list(depends_on), stated], default=_plain, sort_keys=True
+    )
     return hashlib.sha256(what.encode()).hexdigest()
 
 
@@ -231,7 +233,7 @@ def _plain(value: Any) -> Any:
 
 
 @cache
-def _program() -> str:
+def digest_of_program() -> str:
     """Digest of the program's source: another version may have other results."""
     root = Path(__file__).resolve().parents[1]
     digest = hashlib.sha256()

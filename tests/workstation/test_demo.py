@@ -69,7 +69,7 @@ def test_replayed_sessions_give_the_identical_copy(made, tmp_path):
     sessions = tmp_path / SESSIONS_FOLDER
     replay_sessions(made / SESSIONS_FOLDER, sessions)
     done = process_demo(sessions, made, DemoCapture.of(DemoSize.TINY), StageCache(None))
-    write_processed(done, tmp_path / "copy", ggx=False, stages=None)
+    write_processed(done, tmp_path / "copy")
     assert digest_of_files(tmp_path / "copy") == digest_of_files(made / "copy")
 
 

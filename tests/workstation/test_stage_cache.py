@@ -80,7 +80,7 @@ def test_only_what_depends_on_a_change_runs(work, change, again, value):
 
 def test_another_program_runs_everything(work, monkeypatch):
     work.do()
-    monkeypatch.setattr(stage_cache, "_program", lambda: "another version")
+    monkeypatch.setattr(stage_cache, "digest_of_program", lambda: "another version")
     work.do()
     assert work.ran == ["first", "second"] * 2
 

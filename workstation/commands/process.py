@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -106,43 +106,47 @@ def process(
         raise typer.BadParameter("--lp has pictures of its own; leave --photographs out")
     if ggx and lp is None and photographs is None:
         raise typer.BadParameter("--ggx converts reflectance: name --photographs or --lp")
-    options = _options(quality, seed, delta0, cell, pitch, mosaic, keep_normals=keep_normals)
+    from workstation.json_output import write_json
+
+    choices = _Choices(quality, seed, delta0, cell, pitch, mosaic, keep_normals, ggx)
     if lp is not None:
+        options = _options(choices)
         figures = _process_pictures(lp, out, pitch or 1.0, linear, options, ggx=ggx, force=force)
     else:
         assert session is not None  # by the check above
-        job = _Job(session, out, calibration, photographs, lamps, ggx=ggx, force=force)
+        inputs = _Inputs(session, calibration, photographs, lamps)
         kept = None if afresh else stages or out.with_name(f"{out.name}-stages")
-        figures = _process_scan(job, quality, options, kept)
-    from workstation.json_output import write_json
-
+        figures = _up_to_date(inputs, out, choices, kept) or _process_scan(
+            inputs, out, choices, kept, force=force
+        )
     write_json(json, figures)
 
 
 @dataclass(frozen=True)
-class _Job:
-    """What is made of what."""
+class _Inputs:
+    """What a copy is made of."""
 
     session: Path
-    out: Path
     calibration: Path | None
     photographs: Path | None
     lamps: Path | None
-    _: KW_ONLY
+
+
+@dataclass(frozen=True)
+class _Choices:
+    """How it is made."""
+
+    quality: QualityChoice
+    seed: tuple[int, int] | None
+    delta0: float | None
+    cell: int
+    pitch: float | None
+    mosaic: BayerPattern | None
+    keep_normals: bool
     ggx: bool
-    force: bool
 
 
-def _options(
-    quality: QualityChoice,
-    seed: tuple[int, int] | None,
-    delta0: float | None,
-    cell: int,
-    pitch: float | None,
-    mosaic: BayerPattern | None,
-    *,
-    keep_normals: bool,
-) -> ProcessingOptions:
+def _options(choices: _Choices) -> ProcessingOptions:
     from dataclasses import replace
 
     from fitting.canvas import CanvasOptions
@@ -150,45 +154,68 @@ def _options(
     from fitting.relief_classification import ReliefOptions
     from workstation.quality import Quality, quality_options
 
-    chosen = quality_options(Quality(quality.value))
+    chosen = quality_options(Quality(choices.quality.value))
     surface = replace(
         chosen.surface,
-        canvas=CanvasOptions(seed=seed),
-        relief=ReliefOptions(delta0_mm=delta0, cell=cell),
-        pitch_mm=pitch,
+        canvas=CanvasOptions(seed=choices.seed),
+        relief=ReliefOptions(delta0_mm=choices.delta0, cell=choices.cell),
+        pitch_mm=choices.pitch,
     )
     reflectance = chosen.reflectance
-    if keep_normals:
+    if choices.keep_normals:
         maps = replace(reflectance.maps, refine_normals=False)
         reflectance = replace(reflectance, maps=maps)
     return replace(
         chosen,
         surface=surface,
-        photographs=PhotographOptions(mosaic=mosaic),
+        photographs=PhotographOptions(mosaic=choices.mosaic),
         reflectance=reflectance,
     )
 
 
+def _request(inputs: _Inputs, choices: _Choices) -> str:
+    from workstation.up_to_date import digest_of_request
+
+    return digest_of_request(vars(inputs), vars(choices))
+
+
+def _up_to_date(
+    inputs: _Inputs, out: Path, choices: _Choices, kept: Path | None
+) -> dict[str, Any] | None:
+    """Figures of a copy that is there already as it would be made; None if it is not."""
+    from workstation.up_to_date import figures_if_written
+
+    figures = figures_if_written(out, kept, _request(inputs, choices))
+    if figures is None:
+        return None
+    saved = sum(run["seconds"] + run["saved_s"] for run in figures["stages"])
+    figures["stages"] = [
+        run | {"skipped": True, "seconds": 0.0, "saved_s": run["seconds"] + run["saved_s"]}
+        for run in figures["stages"]
+    ]
+    _say_heights(figures, out, current=True)
+    _say(figures)
+    typer.echo(f"no stage had to run, {saved:.1f} s spared")
+    return figures
+
+
 def _process_scan(
-    job: _Job, chosen: QualityChoice, options: ProcessingOptions, kept: Path | None
+    inputs: _Inputs, out: Path, choices: _Choices, kept: Path | None, *, force: bool
 ) -> dict[str, Any]:
     from acquisition.session import Session
-    from workstation.copy_writing import (
-        check_copy_destination,
-        is_written,
-        write_processed,
-        write_run,
-    )
+    from workstation.copy_writing import check_copy_destination, write_processed, write_run
     from workstation.expected_time import expected_seconds
     from workstation.processing import add_photographs, process_session
     from workstation.quality import Quality, describe
     from workstation.stage_cache import StageCache
     from workstation.stage_progress import clock_text, stage_progress
+    from workstation.up_to_date import note_written
 
-    quality = Quality(chosen.value)
-    session = Session.open(job.session)
-    check_copy_destination(job.out, session.digest, force=job.force)
-    pictures = None if job.photographs is None else Session.open(job.photographs)
+    quality = Quality(choices.quality.value)
+    request = _request(inputs, choices)
+    session = Session.open(inputs.session)
+    check_copy_destination(out, session.digest, force=force)
+    pictures = None if inputs.photographs is None else Session.open(inputs.photographs)
     stages = StageCache(kept)
     expected = expected_seconds(stages, session, photographs=pictures, quality=quality)
     total = sum(expected.values())
@@ -198,20 +225,22 @@ def _process_scan(
     with stage_progress("processing", expected) as steps:
         stages.begin, stages.done = steps.begin, steps.done
         done = process_session(
-            job.session, calibration=job.calibration, options=options, stages=stages
+            inputs.session,
+            calibration=inputs.calibration,
+            options=_options(choices),
+            stages=stages,
         )
-        if job.photographs is not None and job.lamps is not None:
-            done = add_photographs(done, job.photographs, job.lamps)
-        current = is_written(job.out, kept, done.key, ggx=job.ggx)
-        if not current:
-            steps.begin("writing the copy")
-            write_processed(done, job.out, ggx=job.ggx, stages=kept)
-    figures = done.figures | {"quality": str(quality), "expected_seconds": expected}
-    if not current:
-        write_run(done, job.out, {"quality": str(quality), "expected_seconds": expected})
+        if inputs.photographs is not None and inputs.lamps is not None:
+            done = add_photographs(done, inputs.photographs, inputs.lamps)
+        steps.begin("writing the copy")
+        write_processed(done, out, ggx=choices.ggx)
+    expectation = {"quality": str(quality), "expected_seconds": expected}
+    figures = done.figures | expectation
+    write_run(done, out, expectation)
+    note_written(out, kept, request, figures)
     for warning in done.warnings:
         typer.echo(f"warning: {warning}", err=True)
-    _say_heights(figures, job.out, current=current)
+    _say_heights(figures, out, current=False)
     _say(figures)
     took = sum(run.seconds for run in stages.runs)
     saved = sum(run.saved_s for run in stages.runs)
