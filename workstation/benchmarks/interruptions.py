@@ -25,6 +25,8 @@ _COMMAND = [sys.executable, "-m", "workstation.command_line"]
 _PATIENCE_S = 120.0
 # A signal that comes before the command has begun ends the interpreter by its default action.
 _ENDED = {0, 130, -signal.SIGINT, -signal.SIGTERM}
+# While it loads its own modules the interpreter may also end with an error.
+_LOADING_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -95,6 +97,8 @@ def interrupt(command: Command, place: Path, *, times: int, seed: int = 0) -> li
         ended = _cut_off(
             command.words(folder / "out"), float(moments[number]), signal.Signals(signs[number])
         )
+        if ended == 1 and moments[number] < _LOADING_S:
+            ended = -int(signs[number])
         wrong = _left_behind(command, folder, ended)
         shutil.rmtree(folder)
         return wrong and f"{command.name} after {moments[number]:.2f} s: {wrong}"
