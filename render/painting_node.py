@@ -59,7 +59,8 @@ def painting_mesh(
     Raises
     ------
     RenderError
-        :attr:`Mode.MESH` or :attr:`Mode.EXACT` of a copy without three texels that make a triangle.
+        :attr:`Mode.MESH`, :attr:`Mode.EXACT` or :attr:`Mode.BOUNDED` of a copy without three texels
+        that make a triangle.
     """
     material = material or PaintingMaterial(copy)
     search: dict[str, Any] = {"linear_steps": 512, "binary_steps": 10}
@@ -69,12 +70,15 @@ def painting_mesh(
             raise _no_triangle(copy, mode)
         shaders = ("plain.vert", "mesh.frag", "")
         parts = [PaintingPrimitive(vertices, triangles, material, shaders, culled=GL.GL_BACK)]
-    elif mode is Mode.EXACT:
+    elif mode in (Mode.EXACT, Mode.BOUNDED):
         if not has_triangle(copy.height_field.mask):
             raise _no_triangle(copy, mode)
-        parts = [exact_primitive(copy, material)]
-    elif mode is Mode.BOUNDED:
-        parts = [BoundedPrimitive(copy, material, budget_px=budget_px)]
+        exact = mode is Mode.EXACT
+        parts = [
+            exact_primitive(copy, material)
+            if exact
+            else BoundedPrimitive(copy, material, budget_px=budget_px)
+        ]
     elif mode is Mode.RELIEF:
         low, high = bounds(copy)
         corners, faces = box(low, high)

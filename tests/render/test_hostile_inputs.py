@@ -2,8 +2,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from pyrender.platforms import egl
 from synthetic_copy import make_copy, strokes
 
+from fitting.errors import FittingError
+from render import opengl
+from render.errors import RenderError
 from render.painter import Light
 from render.painting_node import Mode
 from render.views import View
@@ -55,3 +59,58 @@ def test_a_panorama_as_wide_as_textures_may_be(painter, mode):
     view = View(np.deg2rad(-90.0), np.deg2rad(80.0), 400.0)
     picture = paint(painter, wide, view, mode=mode)
     assert np.isfinite(picture.radiance).all()
+
+
+ON_TRIANGLES = (Mode.MESH, Mode.EXACT, Mode.BOUNDED)
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (40, 1)])
+def test_copies_without_a_square_of_texels(painter, mode, shape):
+    thin = make_copy(np.zeros(shape))
+    view = View(np.deg2rad(-90.0), np.deg2rad(80.0), 4.0)
+    if mode in ON_TRIANGLES:
+        with pytest.raises(RenderError, match="make no triangle"):
+            paint(painter, thin, view, mode=mode)
+        return
+    picture = paint(painter, thin, view, mode=mode)
+    assert np.isfinite(picture.radiance).all()
+    assert picture.coverage.max() == 1
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+@pytest.mark.parametrize("level", [0.0, -3.0])
+def test_a_relief_without_height(painter, mode, level):
+    flat = make_copy(np.full((30, 40), level))
+    for elevation in (80.0, 10.0):
+        view = View(np.deg2rad(-90.0), np.deg2rad(elevation), 60.0)
+        picture = paint(painter, flat, view, mode=mode)
+        assert np.isfinite(picture.radiance).all()
+        assert picture.coverage.max() == 1
+
+
+def test_an_empty_height_map_is_no_copy():
+    with pytest.raises(FittingError, match="empty"):
+        make_copy(np.zeros((20, 30)), mask=np.zeros((20, 30), bool))
+
+
+def test_an_opengl_that_is_too_old_says_what_to_install(monkeypatch):
+    real = opengl.GL.glGetIntegerv
+
+    def old(name):
+        return {opengl.GL.GL_MAJOR_VERSION: 3, opengl.GL.GL_MINOR_VERSION: 3}.get(name) or real(
+            name
+        )
+
+    monkeypatch.setattr(opengl.GL, "glGetIntegerv", old)
+    with pytest.raises(RenderError, match=r"OpenGL 3\.3 is older than the 4\.1.*install Debian's"):
+        opengl.HeadlessContext()
+
+
+def test_a_missing_egl_driver_says_what_to_install(monkeypatch):
+    def none(index):
+        raise ValueError(f"Invalid device ID ({index})")
+
+    monkeypatch.setattr(egl, "get_device_by_index", none)
+    with pytest.raises(RenderError, match=r"no OpenGL without a display.*install Debian's libegl1"):
+        opengl.HeadlessContext()

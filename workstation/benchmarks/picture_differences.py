@@ -18,6 +18,7 @@ from workstation.benchmarks.reference_rendering import Reference, ReferencePictu
 
 Floats = NDArray[np.float64]
 
+_FLIP_REACH_PX = 40  # beyond that of its filters
 _DISPUTED_UM = 5.0  # beyond which Embree's single precision is checked
 
 
@@ -67,8 +68,8 @@ def difference(
     apart = 1000 * np.linalg.norm(points - true_points, axis=-1)[both]
     off = parallax_px(points, true_points, view)[both]
     encoded, wanted = encode(radiance), encode(truth.radiance)
-    flip = flip_map(encoded, wanted)
     somewhere = covered | truly
+    flip = _flip_where(somewhere, encoded, wanted)
     return Difference(
         psnr_db=float(-10 * np.log10(np.mean((radiance - truth.radiance) ** 2))),
         ssim=float(structural_similarity(encoded, wanted, channel_axis=2, data_range=1.0)),
@@ -103,6 +104,23 @@ def flip_map(shown: NDArray[np.float32], wanted: NDArray[np.float32]) -> Floats:
 
     error, _, _ = flip_evaluator.evaluate(wanted, shown, "LDR", applyMagma=False)
     return np.asarray(error, dtype=np.float64).reshape(shown.shape[:2])
+
+
+def _flip_where(
+    somewhere: NDArray[np.bool_], shown: NDArray[np.float32], wanted: NDArray[np.float32]
+) -> Floats:
+    """FLIP by pixel, which is 0 away from where the pictures have anything but background."""
+    error = np.zeros(somewhere.shape)
+    rows, cols = np.nonzero(somewhere)
+    if not len(rows):
+        return error
+    window = tuple(
+        slice(max(int(places.min()) - _FLIP_REACH_PX, 0), int(places.max()) + _FLIP_REACH_PX)
+        for places in (rows, cols)
+    )
+    seen, truth = (np.ascontiguousarray(picture[window]) for picture in (shown, wanted))
+    error[window] = flip_map(seen, truth)
+    return error
 
 
 def _settled(

@@ -25,6 +25,8 @@ _COLOURS = {mode: f"C{number}" for number, mode in enumerate(Mode)}
 def draw_cases(folder: Path, cases: list[Case], pictures: Pictures) -> None:
     """Every figure, what the modes show, and time against error."""
     write_json(folder / "cases.json", [asdict(case) for case in cases])
+    if not pictures:
+        return
     rows = ["reference", *(str(mode) for mode in Mode)]
     views = [str(view) for view in NamedView]
     sheet = [
