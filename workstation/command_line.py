@@ -7,12 +7,13 @@ Exit codes are stable: 0 done, 2 usage, 3 bad input, 4 device, 5 quality gate re
 from __future__ import annotations
 
 import sys
+from typing import NoReturn
 
 import typer
 from rich.console import Console
 
 from devices.errors import ImpastoError
-from workstation.interruption import watch_for_interruption
+from workstation.interruption import was_requested, watch_for_interruption
 
 EXIT_BAD_INPUT = 3
 EXIT_INTERRUPTED = 130
@@ -47,9 +48,7 @@ def main() -> None:
         _print_notes(messages, error)
         sys.exit(error.exit_code)
     except (KeyboardInterrupt, typer.Abort) as interruption:
-        messages.print("[bold]interrupted[/]; nothing half-written was left behind")
-        _print_notes(messages, interruption)
-        sys.exit(EXIT_INTERRUPTED)
+        _end_interrupted(messages, interruption)
     except typer.Exit as leave:
         sys.exit(leave.exit_code)
     except OSError as error:
@@ -60,7 +59,15 @@ def main() -> None:
         if hasattr(error, "show") and hasattr(error, "exit_code"):
             error.show()
             sys.exit(error.exit_code)
+        if was_requested():
+            _end_interrupted(messages, error)
         raise
+
+
+def _end_interrupted(messages: Console, error: BaseException) -> NoReturn:
+    messages.print("[bold]interrupted[/]; nothing half-written was left behind")
+    _print_notes(messages, error)
+    sys.exit(EXIT_INTERRUPTED)
 
 
 def _print_notes(messages: Console, error: BaseException) -> None:

@@ -26,7 +26,6 @@ from fitting.reflectance.held_out import Comparison
 from fitting.reflectance.held_out_picture import draw_held_out
 from fitting.reflectance.microfacet import microfacets_of
 from fitting.relief_picture import draw_relief
-from workstation.interruption import interruption_held
 from workstation.json_output import write_json
 from workstation.processing import Processed
 
@@ -71,9 +70,8 @@ def write_processed(done: Processed, out: Path, *, ggx: bool = False) -> None:
     CopyError
         A folder that is no copy is in the way.
     """
-    with interruption_held():
-        write_pictured(done.copy, out, done.comparisons, ggx=ggx, replace=True)
-        draw_relief(done.copy, out.with_name(f"{out.name}-relief.png"))
+    write_pictured(done.copy, out, done.comparisons, ggx=ggx, replace=True)
+    draw_relief(done.copy, out.with_name(f"{out.name}-relief.png"))
 
 
 def write_pictured(

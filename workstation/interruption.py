@@ -40,6 +40,15 @@ def watch_for_interruption() -> None:
     ).start()
 
 
+def was_requested() -> bool:
+    """Whether a request to stop came: an error after it may be all that is left of it.
+
+    Libraries of compiled code turn an interruption that strikes while they are loaded into an
+    ImportError.
+    """
+    return _requested.is_set()
+
+
 def stop_if_requested() -> None:
     """Raise KeyboardInterrupt if a request to stop came and something swallowed it."""
     if _requested.is_set():

@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+from workstation import command_line
+
 WORK = """
 import signal, sys, time
 {before}
@@ -50,3 +52,20 @@ def test_a_closing_terminal_that_is_to_be_ignored_is_ignored():
         running.send_signal(signal.SIGHUP)
         assert running.stdout.readline() == "went on\n"
     assert running.returncode == 0
+
+
+def test_an_import_that_an_interruption_broke_ends_as_interrupted(monkeypatch, capsys):
+    def broken(**named):
+        raise ImportError("numpy failed to import")
+
+    monkeypatch.setattr(command_line, "app", broken)
+    monkeypatch.setattr(command_line, "watch_for_interruption", lambda: None)
+    monkeypatch.setattr("workstation.commands.register", lambda app: None)
+    monkeypatch.setattr(command_line, "was_requested", lambda: True)
+    with pytest.raises(SystemExit) as ended:
+        command_line.main()
+    assert ended.value.code == command_line.EXIT_INTERRUPTED
+    assert "nothing half-written" in capsys.readouterr().err
+    monkeypatch.setattr(command_line, "was_requested", lambda: False)
+    with pytest.raises(ImportError, match="numpy"):
+        command_line.main()

@@ -40,11 +40,14 @@ class Command:
         Arguments, given the path of what is to be made.
     check : callable
         Raises ImpastoError where what was made is not whole.
+    beside : tuple of str
+        What else it makes, for a result that is called ``out``.
     """
 
     name: str
     words: Callable[[Path], list[str]]
     check: Callable[[Path], object]
+    beside: tuple[str, ...] = ()
 
 
 def commands(session: Path, copy: Path, capture: Path, description: Path) -> tuple[Command, ...]:
@@ -57,9 +60,12 @@ def commands(session: Path, copy: Path, capture: Path, description: Path) -> tup
         views = ["--mode", "bump", "--view", "all", "--size", "160x120"]
         return ["render", str(copy), "--out", str(out), *views]
 
+    def processing(out: Path) -> list[str]:
+        return ["process", str(session), "--out", str(out)]
+
     return (
         Command("import", importing, Session.open),
-        Command("process", lambda out: ["process", str(session), "--out", str(out)], read_copy),
+        Command("process", processing, read_copy, ("out-relief.png", "out-run.json")),
         Command("render", rendering, _check_pictures),
     )
 
@@ -109,14 +115,15 @@ def interrupt(command: Command, place: Path, *, times: int, seed: int = 0) -> li
 
 def _left_behind(command: Command, folder: Path, ended: int) -> str | None:
     # Results of stages are kept for the next run, and are whole each: see workstation.stage_cache.
-    beside = {"out-run.json", "out-relief.png"}
-    left = sorted(path.name for path in folder.iterdir() if path.name != "out-stages")
+    left = {path.name for path in folder.iterdir()} - {"out-stages"}
+    whole = {"out", *command.beside}
     if ended not in _ENDED:
         return f"ended with {ended}"
-    if ended != 0:
-        return f"left {', '.join(left)}" if left else None
-    if "out" not in left or not set(left) <= {"out"} | beside:
-        return f"made {', '.join(left) or 'nothing'}"
+    if ended != 0 and not left:
+        return None
+    # A request that comes while the result is written waits until all of it is there.
+    if left != whole:
+        return f"ended with {ended} and left {', '.join(sorted(left)) or 'nothing'}"
     try:
         command.check(folder / "out")
     except ImpastoError as error:

@@ -205,6 +205,7 @@ def _process_scan(
     from acquisition.session import Session
     from workstation.copy_writing import check_copy_destination, write_processed, write_run
     from workstation.expected_time import expected_seconds
+    from workstation.interruption import interruption_held
     from workstation.processing import add_photographs, process_session
     from workstation.quality import Quality, describe
     from workstation.stage_cache import StageCache
@@ -233,11 +234,12 @@ def _process_scan(
         if inputs.photographs is not None and inputs.lamps is not None:
             done = add_photographs(done, inputs.photographs, inputs.lamps)
         steps.begin("writing the copy")
-        write_processed(done, out, ggx=choices.ggx)
-    expectation = {"quality": str(quality), "expected_seconds": expected}
-    figures = done.figures | expectation
-    write_run(done, out, expectation)
-    note_written(out, kept, request, figures)
+        expectation = {"quality": str(quality), "expected_seconds": expected}
+        figures = done.figures | expectation
+        with interruption_held():
+            write_processed(done, out, ggx=choices.ggx)
+            write_run(done, out, expectation)
+            note_written(out, kept, request, figures)
     for warning in done.warnings:
         typer.echo(f"warning: {warning}", err=True)
     _say_heights(figures, out, current=False)
