@@ -137,7 +137,7 @@ def fit_range(
         remarks = _SAMPLES_DROPPED if bad else 0
         if n > 0:
             fits.cost[t], found, fits.iterations[t] = fit_texel(
-                space, n, prior, settings, starts, shape, rho
+                space, n, prior, settings, ceiling, starts, shape, rho
             )
             remarks |= found
         else:

@@ -27,7 +27,8 @@ class TexelFlag(IntFlag):
     SAMPLES_DROPPED
         Some samples were not finite, or had no positive variance, and were left out.
     NOT_FINITE
-        The descent broke down; the values are those of the diffuse fit.
+        The descent broke down, or ran to a lobe whose highlight, seen head-on, would be a thousand
+        times as bright as any sample; the values are those of the diffuse fit.
     """
 
     DIFFUSE = 1

@@ -106,9 +106,12 @@ def choose_material(samples: RadianceSamples, *, options: SolverOptions) -> Mate
     Material or None
         None where too few texels show a highlight.
     """
-    best = _least(_with_misfits(samples, options))
-    if best is None:
+    misfits = list(_with_misfits(samples, options))
+    least = _least(iter(misfits))
+    if least is None:
         return None
+    # Of misfits that predict alike the smallest: it leaves the most to be said by the samples.
+    best = next(one for one in misfits if not least.beats(one))
     for variant in (LobeVariant.FREE, LobeVariant.ANISOTROPIC):
         other = learn_prior(samples, replace(best.material, variant=variant), options=options)
         if other is not None and (judged := _judge(samples, other, options)).beats(best):

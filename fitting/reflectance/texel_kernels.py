@@ -48,6 +48,9 @@ _REWEIGHTINGS = 8
 _CLOSELY = 1e-4
 _ROUGHLY = 1e-2
 _HARDLY_NARROWED = 0.7  # variance of ln k over the prior's
+_FAR_BEYOND = (
+    1e4  # variance over the largest that ρ can have: a thousand times the brightest sample
+)
 
 
 class SampleArrays(NamedTuple):
@@ -283,18 +286,29 @@ def descend_from_starts(
 
 
 @njit(cache=True, error_model="numpy")
+def far_beyond_samples(rho: Floats, ceiling: Floats) -> bool:
+    """Whether a lobe's slope alone makes up a highlight, head-on, that no sample comes near."""
+    beyond = False
+    for c in range(CHANNELS):
+        beyond = beyond or rho[1, c] * rho[1, c] > _FAR_BEYOND * ceiling[c]
+    return beyond
+
+
+@njit(cache=True, error_model="numpy")
 def fit_texel(
     space: Workspace,
     n: int,
     prior: LobePrior,
     settings: SolverSettings,
+    ceiling: Floats,
     starts: Floats,
     theta: Floats,
     rho: Floats,
 ) -> tuple[float, int, int]:
     """Fit gathered samples; return twice the data's cost, the flags and the iterations.
 
-    On return ``space`` holds the sums and the Hessian that the covariance is made of.
+    ``ceiling`` is that of :func:`gather_samples`. On return ``space`` holds the sums and the
+    Hessian that the covariance is made of.
     """
     flags = 0
     iterations = 0
@@ -319,9 +333,11 @@ def fit_texel(
             space.rows, space.lobe, best_rho, n, settings.huber_limit, space.weight, space.target
         )
         cost = fit_columns(space, n, prior, settings.huber_limit, rho, _CLOSELY)
-        finite = math.isfinite(cost + np.sum(theta) + np.sum(rho))
-        highlight = finite and diffuse_cost - cost > settings.threshold
-        if not finite:
+        sound = math.isfinite(cost + np.sum(theta) + np.sum(rho))
+        if settings.threshold > -np.inf:
+            sound = sound and not far_beyond_samples(rho, ceiling)
+        highlight = sound and diffuse_cost - cost > settings.threshold
+        if not sound:
             flags |= NOT_FINITE
         elif highlight and not converged:
             flags |= NOT_CONVERGED

@@ -135,6 +135,7 @@ def test_gaps_and_places_in_shadow_take_their_neighbours_lobes_and_say_so():
     assert none[mask].sum() > 10
     assert (result.maps.quality.samples[none] == 0).all()
     assert (result.maps.diffuse[none].max(axis=1) > 0.02).all()
+    assert result.maps.specular.max() < 1000
 
 
 def test_photographs_of_something_else_are_refused():

@@ -10,7 +10,7 @@ from fitting.reflectance.lobe import LafortuneLobes, LobeVariant
 from fitting.reflectance.materials import Material
 from fitting.reflectance.samples import RadianceSamples
 from fitting.reflectance.solver import SolverOptions, fit_texels, highlight_threshold
-from workstation.benchmarks.paint_samples import capture_directions, paint_samples
+from workstation.benchmarks.paint_samples import capture_directions, directions, paint_samples
 
 KNOWN = Material(
     shape_mean=np.array([3.7, -0.03, 0.0]),
@@ -268,6 +268,23 @@ def test_exponents_at_the_end_of_their_range_are_flagged():
     at_end = fits.lobes.shape[:, 0] == 0
     assert 0.2 < at_end.mean() < 0.8
     assert fits.flagged(TexelFlag.AT_BOUND)[at_end].all()
+
+
+def test_highlights_are_not_made_up_where_three_samples_could_mean_anything():
+    rng = np.random.default_rng(18)
+    light = directions(rng.uniform(0.2, 1.0, (400, 3)), rng.uniform(0, 2 * np.pi, (400, 3)))
+    view = np.broadcast_to([0.0, 0.0, 1.0], light.shape)
+    radiance = 0.1 * light[..., 2:] * np.ones(3)
+    radiance[:, 0] *= 3
+    samples = RadianceSamples(
+        view, light, radiance, np.full_like(radiance, 1e-6), np.ones((400, 3))
+    )
+    fits = fit_texels(samples)
+    assert_finite(fits)
+    assert fits.lobes.specular.max() < 1000 * 0.3 + 1e-3
+    made_up = fits.flagged(TexelFlag.NOT_FINITE)
+    assert 20 < made_up.sum() < 200
+    assert np.all(fits.lobes.specular[made_up] == 0)
 
 
 def test_bad_texels_do_not_touch_their_neighbours():
