@@ -185,8 +185,10 @@ class ArmProblem:
 
     def target_gains(self, arm: ArmParameters) -> NDArray[np.float64]:
         """Factors (points,) of the target's points that suit an arm best, 1 on average."""
+        return self._gains_of(self._predicted_radiance(arm))
+
+    def _gains_of(self, predicted: NDArray[np.float64]) -> NDArray[np.float64]:
         shading = self.shading
-        predicted = self._predicted_radiance(arm)
         weight = np.where(np.isfinite(shading.radiance), 1 / shading.sigma**2, 0.0)
         seen = np.where(weight > 0, shading.radiance, 0.0)
         products = np.sum(weight * predicted * seen, axis=(0, 2))
@@ -202,7 +204,7 @@ class ArmProblem:
         shading = self.shading
         predicted = self._predicted_radiance(arm)
         if shading.gains_unknown:
-            predicted = predicted * self.target_gains(arm)[:, np.newaxis]
+            predicted = predicted * self._gains_of(predicted)[:, np.newaxis]
         return np.asarray((predicted - shading.radiance) / (shading.sigma * np.sqrt(self.excess)))
 
     def _predicted_radiance(self, arm: ArmParameters) -> NDArray[np.float64]:

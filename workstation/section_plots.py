@@ -17,7 +17,8 @@ def light_picture(lights: LightSection) -> bytes:
     """The lamp's positions in space, coloured by what the model leaves, as PNG."""
     figure = Figure(figsize=(4.6, 3.7), dpi=_DPI)
     FigureCanvasAgg(figure)
-    axes = figure.add_axes((0.0, 0.02, 0.78, 0.98), projection="3d")
+    axes = figure.add_subplot(projection="3d")
+    axes.set_position((0.0, 0.02, 0.78, 0.98))
     seen = np.isfinite(lights.residual_deg)
     # Poses without a highlight are known by the model alone.
     axes.scatter(*lights.position_mm[~seen].T, color="#999", s=12)

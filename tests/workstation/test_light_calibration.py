@@ -14,7 +14,7 @@ from acquisition.session_writer import SessionWriter
 from calibration.arm_files import ARM_FILE, load_light_arm, save_light_arm
 from calibration.arm_photographs import ArmPhotographs
 from calibration.errors import CalibrationError
-from calibration.lens import invert, rt_from_matrix, transform
+from calibration.lens import rt_from_matrix, transform
 from calibration.sphere_search import find_spheres, sphere_highlights
 from devices.simulated.arm_kinematics import ArmKinematics, Lamp
 from devices.simulated.arm_targets import place_arm_targets, white_reflectance
@@ -26,18 +26,17 @@ from devices.simulated.truth import truth_of
 from fitting.reflectance.lamp_table import LampTable
 from workstation.calibration_extras import LAMPS_FILE
 from workstation.demonstration import true_geometry
-from workstation.light_calibration import LightOptions, calibrate_lights
 
 SPHERE_MM = 18.0
-POSES = 16
+POSES = 12
 
 
 @pytest.fixture(scope="module")
 def rig():
-    width = 560
+    width = 480
     camera = SimulatedLens.looking_at(
         width=width,
-        height=420,
+        height=360,
         focal_px=2.3 * width,
         position=(-20.0, 10.0, 450.0),
         target=(0.0, 0.0, 0.0),
@@ -96,99 +95,89 @@ def session(rig, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def calibrated(rig, session):
-    options = LightOptions(sphere_mm=SPHERE_MM, albedo=white_reflectance())
-    return calibrate_lights(true_geometry(rig), session, options=options)
+def folder(rig, session, tmp_path_factory):
+    """What the command makes of the session."""
+    folder = tmp_path_factory.mktemp("calibrated")
+    true_geometry(rig).save(folder / "rig")
+    done = impasto(
+        *("calibrate", "--rig", folder / "rig", "--spheres", session, "--white", session),
+        *("--sphere-radius", SPHERE_MM, "--white-albedo", round(white_reflectance(), 6)),
+        *("--out", folder / "lights", "--report", folder / "report"),
+        *("--json", folder / "figures.json"),
+    )
+    assert done.returncode == 0, done.stderr
+    assert "2 spheres, 12 poses" in done.stdout
+    return folder
+
+
+@pytest.fixture(scope="module")
+def arm(folder):
+    return load_light_arm(folder / "lights" / ARM_FILE)
+
+
+@pytest.fixture(scope="module")
+def figures(folder):
+    return json.loads((folder / "figures.json").read_text())["light_arm"]
 
 
 def rt_cam_scene(rig):
     return rt_from_matrix(rig.camera_lens.rotation, rig.camera_lens.translation)
 
 
-def direction_errors_deg(rig, arm, middle):
+def test_light_directions_are_found_to_a_tenth_of_a_degree_and_as_well_as_predicted(rig, arm):
     truth, pose_of_scene = truth_of(rig.scene), rt_cam_scene(rig)
-    errors = []
+    middle = pose_of_scene[3:]
+    errors, predicted = [], []
     for pose in arm.poses:
         towards = transform(pose_of_scene, truth.lamp_position(pose)) - middle
         off = towards / np.linalg.norm(towards) - arm.lamp(pose).directions(middle)
         errors.append(np.degrees(np.linalg.norm(off)))
-    return np.array(errors)
+        predicted.append(arm.direction_sigma_deg(pose, middle))
+    assert max(errors) < 0.1
+    assert max(errors) < 4 * max(predicted) < 0.4
+    assert arm.suspect == ()
+    assert arm.inflation == 1
 
 
-def test_light_directions_are_found_to_a_tenth_of_a_degree_and_as_well_as_predicted(
-    rig, calibrated
-):
-    errors = direction_errors_deg(rig, calibrated.arm, calibrated.target_middle)
-    assert errors.max() < 0.1
-    assert errors.max() < 4 * calibrated.direction_sigma_deg().max()
-    assert calibrated.arm.suspect == ()
-    assert calibrated.arm.inflation == 1
-
-
-def test_spheres_and_target_are_where_they_are(rig, calibrated):
+def test_spheres_and_target_are_where_they_are(rig, figures):
     pose = rt_cam_scene(rig)
-    for found, true in zip(calibrated.spheres, rig.scene.background, strict=False):
-        off = found.sphere.centre - transform(pose, true.centre_mm)
-        assert off @ np.linalg.solve(found.sphere.covariance, off) < 25
-    on_scene = transform(invert(pose), calibrated.target.points)
-    assert np.abs(on_scene[:, 2]).max() < 0.02
-    assert np.ptp(on_scene[:, 0]) > 75
+    for found, true in zip(figures["spheres"], rig.scene.background, strict=False):
+        assert np.abs(found["centre_mm"] - transform(pose, true.centre_mm)).max() < 0.6
+        assert found["outline_px"] < 0.4
+    assert figures["target_blocks"] > 50
+    assert figures["target_flatness_mm"] < 0.1
 
 
-def test_the_lamp_sends_what_it_sends(rig, calibrated):
-    middle, scene = calibrated.target_middle, rig.scene
-    place = transform(invert(rt_cam_scene(rig)), middle)
+def test_the_lamp_sends_what_it_sends(rig, arm):
+    middle, scene = rt_cam_scene(rig)[3:], rig.scene
     white = scene.sensor.rate_e_per_s * scene.sensor.numbers_per_electron
     white *= scene.sensor.weights(scene.lamp.colour)[0, 0].sum()
-    for pose in calibrated.arm.poses[::5]:
-        lamp, truth = calibrated.arm.lamp(pose), truth_of(scene)
-        away = truth.lamp_position(pose) - place
+    for pose in arm.poses[::5]:
+        truth = truth_of(scene)
+        away = truth.lamp_position(pose)
         off_axis = -truth.lamp_axis(pose) @ away / np.linalg.norm(away)
         sent = np.pi * white * (scene.arm.radius**2 / (away @ away)) * off_axis**6
-        assert lamp.irradiance(middle)[0] == pytest.approx(sent, rel=0.03)
+        assert arm.lamp(pose).irradiance(middle)[0] == pytest.approx(sent, rel=0.03)
 
 
-def test_the_vignetting_of_the_lens_is_found(rig, calibrated):
+def test_lamps_and_the_lens_s_vignetting_are_in_the_table(rig, folder, arm):
+    table = LampTable.load(folder / "lights" / LAMPS_FILE)
+    assert len(table.poses) == len(arm.poses)
+    for pose in arm.poses:
+        np.testing.assert_allclose(table.lamp(pose).position, arm.lamp(pose).position)
     lens = rig.camera_lens
     corner = np.array([40.0, 40.0])
     slope = (corner - lens.matrix[:2, 2]) / lens.matrix[0, 0]
     natural = (1 + slope @ slope) ** -2
-    assert calibrated.flat_field.gain(corner) == pytest.approx(natural, abs=0.015)
+    assert table.flat_field.gain(corner) == pytest.approx(natural, abs=0.02)
 
 
-def test_the_command_writes_arm_and_lamps_and_a_report(rig, session, calibrated, tmp_path):
-    true_geometry(rig).save(tmp_path / "rig")
-    done = impasto(
-        *("calibrate", "--rig", tmp_path / "rig", "--spheres", session, "--white", session),
-        *("--sphere-radius", SPHERE_MM, "--white-albedo", round(white_reflectance(), 6)),
-        *("--out", tmp_path / "lights", "--report", tmp_path / "report"),
-        *("--json", tmp_path / "figures.json"),
-    )
-    assert done.returncode == 0, done.stderr
-    assert "2 spheres, 16 poses" in done.stdout
-    table = LampTable.load(tmp_path / "lights" / LAMPS_FILE)
-    assert len(table.lamps) == POSES
-    pose = calibrated.arm.poses[3]
-    np.testing.assert_allclose(
-        table.lamp(pose).position, calibrated.arm.lamp(pose).position, atol=0.05
-    )
-    np.testing.assert_allclose(
-        table.flat_field.coefficients, calibrated.flat_field.coefficients, atol=1e-4
-    )
-    arm = load_light_arm(tmp_path / "lights" / ARM_FILE)
-    np.testing.assert_allclose(
-        arm.direction_covariance(pose, calibrated.target_middle),
-        calibrated.arm.direction_covariance(pose, calibrated.target_middle),
-        rtol=0.02,
-        atol=1e-12,
-    )
-    page = (tmp_path / "report" / "index.html").read_text()
+def test_the_report_shows_lamps_and_vignetting(folder):
+    page = (folder / "report" / "index.html").read_text()
     assert page.count("data:image/png;base64,") == 2
-    report = json.loads((tmp_path / "report" / "report.json").read_text())
+    report = json.loads((folder / "report" / "report.json").read_text())
     assert len(report["lights"]) == POSES
     assert report["flat_field"]["coefficients"][0] < 0
-    figures = json.loads((tmp_path / "figures.json").read_text())["light_arm"]
-    assert figures["direction_sigma_deg_largest"] < 0.1
 
 
 def test_spheres_that_are_named_are_looked_for_there_only(rig, session):
@@ -197,22 +186,23 @@ def test_spheres_that_are_named_are_looked_for_there_only(rig, session):
     near = [find_spheres(photographs, lens, radius_mm=SPHERE_MM)[n].circle for n in (1, 0)]
     found = find_spheres(photographs, lens, radius_mm=SPHERE_MM, near=near)
     assert [one.circle[0] for one in found] == pytest.approx([near[1][0], near[0][0]], abs=0.1)
-    with pytest.raises(CalibrationError, match="no sphere at column 280"):
-        find_spheres(photographs, lens, radius_mm=SPHERE_MM, near=[(280.0, 210.0, 40.0)])
+    with pytest.raises(CalibrationError, match="no sphere at column 240"):
+        find_spheres(photographs, lens, radius_mm=SPHERE_MM, near=[(240.0, 180.0, 40.0)])
     # A disc that shows no lamp is no mirror.
-    elsewhere = [replace(found[0], circle=(280.0, 210.0, 30.0)), found[1]]
+    elsewhere = [replace(found[0], circle=(240.0, 180.0, 30.0)), found[1]]
     with pytest.raises(CalibrationError, match="1 of 2 spheres show the lamp"):
         sphere_highlights(photographs, elsewhere)
 
 
-def test_an_arm_is_the_same_after_writing_and_reading(calibrated, tmp_path):
-    save_light_arm(calibrated.arm, tmp_path / ARM_FILE)
-    arm = load_light_arm(tmp_path / ARM_FILE)
+def test_an_arm_is_the_same_after_writing_and_reading(arm, tmp_path):
+    unseen = replace(arm, residual_deg=np.append(arm.residual_deg[:-1], np.nan))
+    save_light_arm(unseen, tmp_path / ARM_FILE)
+    read = load_light_arm(tmp_path / ARM_FILE)
     pose = arm.poses[2]
-    assert arm.poses == calibrated.arm.poses
-    np.testing.assert_array_equal(arm.lamp(pose).position, calibrated.arm.lamp(pose).position)
-    np.testing.assert_array_equal(arm.covariance, calibrated.arm.covariance)
-    np.testing.assert_array_equal(arm.residual_deg, calibrated.arm.residual_deg)
+    assert read.poses == arm.poses
+    np.testing.assert_array_equal(read.lamp(pose).position, arm.lamp(pose).position)
+    np.testing.assert_array_equal(read.covariance, arm.covariance)
+    np.testing.assert_array_equal(read.residual_deg, unseen.residual_deg)
 
 
 @pytest.mark.parametrize(
@@ -227,9 +217,9 @@ def test_an_arm_is_the_same_after_writing_and_reading(calibrated, tmp_path):
         (lambda c: {k: v for k, v in c.items() if k != "parameters"}, "parameters"),
     ],
 )
-def test_files_of_arms_that_make_no_sense_are_refused(calibrated, tmp_path, spoil, message):
+def test_files_of_arms_that_make_no_sense_are_refused(arm, tmp_path, spoil, message):
     file = tmp_path / ARM_FILE
-    save_light_arm(calibrated.arm, file)
+    save_light_arm(arm, file)
     content = spoil(json.loads(file.read_text()))
     file.write_text(content if isinstance(content, str) else json.dumps(content))
     with pytest.raises(CalibrationError, match=message):
