@@ -1,7 +1,8 @@
 """Run time against error: the settings of ``--quality``, and what is expected of each.
 
-Every setting is a point of :mod:`workstation.benchmarks.pipeline`, which draws them among others;
-the expectations below are its measurements on simulated paintings, relative to ``normal``.
+Every setting is a point of :mod:`workstation.benchmarks.pipeline`, which draws them among others.
+The expectations below were measured on the simulated oil sketch of the demo, 42 photographs of 480
+by 360 pixels (heights: of 128 by 96), relative to ``normal``.
 """
 
 from __future__ import annotations
@@ -45,9 +46,9 @@ class Expectation:
 
 
 EXPECTED = {
-    Quality.DRAFT: Expectation(0.12, 1.5, -3.3),
+    Quality.DRAFT: Expectation(0.15, 1.5, -3.3),
     Quality.NORMAL: Expectation(1.0, 1.0, 0.0),
-    Quality.BEST: Expectation(2.0, 0.88, 0.2),
+    Quality.BEST: Expectation(1.35, 0.88, 0.4),
 }
 
 
