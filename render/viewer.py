@@ -147,6 +147,19 @@ class PaintingViewer(pyrender.Viewer):
         self._renderer = WindowRenderer(width, height)
         self.set_caption(self.viewer_flags["window_title"])
 
+    def figures(self) -> dict[str, Any]:
+        """What is shown, and was last: mode, light in degrees and mm, camera to canvas (4, 4)."""
+        shown = self.shown
+        azimuth, elevation = np.rad2deg([shown.light.azimuth, shown.light.elevation])
+        return {
+            "mode": str(shown.mode),
+            "budget_px": shown.budget_px,
+            "light": [float(azimuth), float(elevation), shown.light.distance_mm],
+            "shadows": shown.shadows,
+            "exposure": shown.exposure,
+            "camera_pose": self._trackball.pose.tolist(),
+        }
+
     def run(self) -> None:
         """Show the window until it is closed."""
         pyglet.clock.schedule_interval(self._tick, 1 / _RATE)

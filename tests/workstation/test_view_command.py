@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import ctypes
+import json
 import os
 import shutil
 import signal
@@ -146,8 +147,9 @@ def window(screen: Screen, copy: Path, *options: str) -> Iterator[subprocess.Pop
         running.communicate()
 
 
-def test_keys_and_mouse_change_the_picture_and_q_closes_it(screen, copy):
-    with window(screen, copy, "--view=-90,25,110") as running:
+def test_keys_and_mouse_change_the_picture_and_q_closes_it(screen, copy, tmp_path):
+    figures = tmp_path / "shown.json"
+    with window(screen, copy, "--view=-90,25,110", "--json", str(figures)) as running:
         shown = screen.settled()
         assert shown[PICTURE].std() > 10
         steps = [("2", PICTURE), ("7", PICTURE), ("Left", PICTURE), ("Up", PICTURE)]
@@ -162,6 +164,11 @@ def test_keys_and_mouse_change_the_picture_and_q_closes_it(screen, copy):
         screen.press("q")
         output, messages = running.communicate(timeout=30)
         assert (running.returncode, output, messages) == (0, "", "")
+    shown_last = json.loads(figures.read_text())
+    assert shown_last["mode"] == "bounded"
+    assert shown_last["budget_px"] == pytest.approx(0.25 / np.sqrt(2))
+    assert shown_last["light"][:2] == pytest.approx([140, 37])
+    assert shown_last["shadows"] is True
 
 
 def test_ctrl_c_closes_the_window(screen, copy):

@@ -41,6 +41,9 @@ def view(
     shadows: Annotated[
         bool, typer.Option("--shadows", help="Let the relief cast shadows on itself.")
     ] = False,
+    json: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write what was shown last here.")
+    ] = None,
 ) -> None:
     """Look at a digital copy in a window.
 
@@ -59,6 +62,7 @@ def view(
     from render.viewer_state import ViewerState
     from render.views import parse_view
     from workstation.interruption import stop_if_requested
+    from workstation.json_output import write_json
 
     width, height = parse_size(size)
     state = ViewerState(
@@ -80,3 +84,4 @@ def view(
         between_frames=stop_if_requested,
     ) as window:
         window.run()
+    write_json(json, window.figures())
