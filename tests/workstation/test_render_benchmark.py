@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+import pytest
+
+from render.painting_node import Mode
+from render.views import NamedView
+from workstation.benchmarks.picture_differences import Difference
+from workstation.benchmarks.render import bench
+from workstation.benchmarks.render_bounds import bounded_records, exact_records, time_records
+from workstation.benchmarks.render_budget import halving_record
+from workstation.benchmarks.render_cases import Case, Work, time_ratio
+from workstation.benchmarks.render_path import Popping
+from workstation.benchmarks.render_scenes import OIL, SIZES
+from workstation.benchmarks.render_tables import table_1
+
+MS = {
+    Mode.MESH: [300.0, 310.0],
+    Mode.BUMP: [20.0, 40.0, 20.0],
+    Mode.RELIEF: [60.0, 90.0, 60.0],
+    Mode.HYBRID: [70.0] * 3,
+    Mode.ADAPTIVE: [65.0] * 3,
+    Mode.EXACT: [50.0] * 3,
+    Mode.BOUNDED: [22.0, 44.0, 33.0],
+}
+
+
+def case(view, size, mode, *, psnr=60.0, coverage=1, parallax=0.2, flip=0.004):
+    off = Difference(psnr, 0.99, flip, 2 * flip, (0.01, parallax, 2.0), (0.1, 5.0), coverage)
+    return Case(OIL, size, str(view), str(mode), MS[mode], 30.0, Work(1, 2), 0, 0, off)
+
+
+def cases(**worst):
+    made = [
+        case(view, f"{width}x{height}", mode)
+        for width, height in SIZES
+        for view in NamedView
+        for mode in Mode
+    ]
+    return [*made, case(NamedView.FAR_FRONT, "1024x768", worst.pop("mode", Mode.MESH), **worst)]
+
+
+def test_ratios_are_of_the_same_turn():
+    slow_turn, bump = (case("v", "s", mode) for mode in (Mode.BOUNDED, Mode.BUMP))
+    assert time_ratio(slow_turn, bump) == pytest.approx(1.1)
+
+
+def test_the_worst_view_decides():
+    found = {record.name: record for record in exact_records(cases(mode=Mode.EXACT, psnr=50.0))}
+    assert found["exact.psnr_db_min"].value == 50.0
+    assert not found["exact.psnr_db_min"].holds
+    assert found["exact.coverage_px_max"].holds
+    found = {record.name: record for record in bounded_records(cases(mode=Mode.BOUNDED, flip=0.02))}
+    assert not found["bounded.flip_max"].holds
+    assert "far-front 1024x768" in found["bounded.flip_max"].note
+    assert found["bounded.parallax_p95_px_max"].holds
+
+
+def test_times_are_held_against_bump_mapping_and_the_faster_rival():
+    found = {record.name: record for record in time_records(cases())}
+    assert len(found) == 2 * len(NamedView)
+    over_bump = found["bounded.time_over_bump.inshot-front"]
+    assert (over_bump.value, over_bump.bound) == (pytest.approx(1.1), 1.15)
+    assert "relief" in found["bounded.time_over_rival.far-front"].note
+
+
+def test_the_first_table_tells_where_its_order_is_not_the_papers():
+    found = {record.name: record for record in table_1(cases())}
+    assert len(found) == len(NamedView) * (len(Mode) - 1)
+    note = found["table1.near-front.adaptive_over_mesh"].note
+    assert "fastest to slowest relief, adaptive, hybrid, mesh, the paper's mesh" in note
+
+
+def test_halving_is_a_slope_of_one():
+    assert halving_record({1.0: 0.8, 0.5: 0.4, 0.25: 0.2}).value == pytest.approx(1.0)
+    assert not halving_record({1.0: 0.8, 0.5: 0.8, 0.25: 0.8}).holds
+
+
+def test_one_popping_frame_or_switch_is_enough_to_fail():
+    excess = {Mode.BOUNDED: [0.0, 0.003, 0.0], Mode.ADAPTIVE: [0.0, 0.01, 0.0]}
+    frame, adaptive, switch = Popping(excess, [("a to b", 0.0001)]).records()
+    assert not frame.holds
+    assert adaptive.value == 0.01
+    assert switch.holds
+
+
+def test_parts_that_are_not_there_are_refused():
+    with pytest.raises(ValueError, match="nothing"):
+        bench(parts=["nothing"])
