@@ -60,7 +60,9 @@ def check_copy_destination(out: Path, session_digest: str, *, force: bool) -> No
     check_destination(out, replace=force or same)
 
 
-def write_processed(done: Processed, out: Path, *, ggx: bool = False) -> None:
+def write_processed(
+    done: Processed, out: Path, *, ggx: bool = False, exact_maps: bool = False
+) -> None:
     """Write a copy and the pictures beside it.
 
     A copy that is there is replaced; see :func:`check_copy_destination`.
@@ -70,7 +72,9 @@ def write_processed(done: Processed, out: Path, *, ggx: bool = False) -> None:
     CopyError
         A folder that is no copy is in the way.
     """
-    write_pictured(done.copy, out, done.comparisons, ggx=ggx, replace=True)
+    write_pictured(
+        *(done.copy, out, done.comparisons), ggx=ggx, exact_maps=exact_maps, replace=True
+    )
     draw_relief(done.copy, out.with_name(f"{out.name}-relief.png"))
 
 
@@ -80,13 +84,20 @@ def write_pictured(
     comparisons: Sequence[Comparison],
     *,
     ggx: bool = False,
+    exact_maps: bool = False,
     replace: bool = False,
 ) -> None:
     """Write a copy with pictures of what was kept out of its fit."""
     maps = copy.reflectance
     facets = microfacets_of(maps) if ggx and maps is not None else None
     beside = partial(_write_comparisons, comparisons) if comparisons else _nothing
-    write_copy(copy, out, replace=replace, microfacets=facets, beside=beside)
+    write_copy(
+        *(copy, out),
+        replace=replace,
+        microfacets=facets,
+        exact_maps=exact_maps,
+        beside=beside,
+    )
     if comparisons:
         draw_held_out(comparisons, out.with_name(f"{out.name}-held-out.png"))
 

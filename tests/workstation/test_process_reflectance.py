@@ -42,7 +42,7 @@ def run(*arguments):
 def test_pictures_with_light_directions_become_a_copy(dome, tmp_path):
     figures = tmp_path / "figures.json"
     out = tmp_path / "copy"
-    result = run("--lp", dome, "--out", out, "--ggx", "--json", figures)
+    result = run("--lp", dome, "--out", out, "--ggx", "--exact-maps", "--json", figures)
     assert result.exit_code == 0, result.output
     copy = read_copy(out)
     middle = copy.reflectance.diffuse[4:20, 3:13]
@@ -51,6 +51,7 @@ def test_pictures_with_light_directions_become_a_copy(dome, tmp_path):
     assert held["psnr_db"] > 35
     assert held["delta_e"] < 1.5
     assert (tmp_path / "copy-held-out.png").is_file()
+    assert json.loads((out / "copy.json").read_text())["rounding"] is None
     with OpenEXR.File(str(out / "ggx.exr"), separate_channels=True) as file:
         albedo = np.array(file.channels()["albedo.G"].pixels)
     assert np.median(albedo[4:20, 3:13]) == pytest.approx(0.5, rel=0.02)

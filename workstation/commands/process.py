@@ -54,6 +54,9 @@ def process(
         BayerPattern | None, typer.Option(help="Order of the camera's colours, if it has any.")
     ] = None,
     ggx: Annotated[bool, typer.Option(help="Write the reflectance as microfacets too.")] = False,
+    exact_maps: Annotated[
+        bool, typer.Option(help="Keep bits of the maps that are below their standard errors.")
+    ] = False,
     keep_normals: Annotated[
         bool, typer.Option(help="Leave the normals as the heights have them.")
     ] = False,
@@ -108,10 +111,15 @@ def process(
         raise typer.BadParameter("--ggx converts reflectance: name --photographs or --lp")
     from workstation.json_output import write_json
 
-    choices = _Choices(quality, seed, delta0, cell, pitch, mosaic, keep_normals, ggx)
+    choices = _Choices(quality, seed, delta0, cell, pitch, mosaic, keep_normals, ggx, exact_maps)
     if lp is not None:
         options = _options(choices)
-        figures = _process_pictures(lp, out, pitch or 1.0, linear, options, ggx=ggx, force=force)
+        figures = _process_pictures(
+            *(lp, out, pitch or 1.0, linear, options),
+            ggx=ggx,
+            exact_maps=exact_maps,
+            force=force,
+        )
     else:
         assert session is not None  # by the check above
         inputs = _Inputs(session, calibration, photographs, lamps)
@@ -144,6 +152,7 @@ class _Choices:
     mosaic: BayerPattern | None
     keep_normals: bool
     ggx: bool
+    exact_maps: bool
 
 
 def _options(choices: _Choices) -> ProcessingOptions:
@@ -237,7 +246,7 @@ def _process_scan(
         expectation = {"quality": str(quality), "expected_seconds": expected}
         figures = done.figures | expectation
         with interruption_held():
-            write_processed(done, out, ggx=choices.ggx)
+            write_processed(done, out, ggx=choices.ggx, exact_maps=choices.exact_maps)
             write_run(done, out, expectation)
             note_written(out, kept, request, figures)
     for warning in done.warnings:
@@ -272,6 +281,7 @@ def _process_pictures(
     options: ProcessingOptions,
     *,
     ggx: bool,
+    exact_maps: bool,
     force: bool,
 ) -> dict[str, Any]:
     from fitting.copy_files import check_destination
@@ -291,7 +301,7 @@ def _process_pictures(
             lp, pitch_mm=pitch_mm, linear=linear, options=options.reflectance, begin=begin
         )
         begin("writing the copy")
-        write_pictured(copy, out, comparisons, ggx=ggx, replace=force)
+        write_pictured(*(copy, out, comparisons), ggx=ggx, exact_maps=exact_maps, replace=force)
     rows, cols = figures["shape"]
     typer.echo(f"{out}: {cols} × {rows} texels under {len(copy.provenance['pictures'])} lights")
     _say(figures)
