@@ -142,7 +142,7 @@ def _switches(scene: RenderedScene, views: list[View]) -> Iterator[tuple[str, tu
 def _way(needs: ViewNeeds) -> tuple[object, ...]:
     return (
         needs.search,
-        f"{needs.triangle_share > 0} triangles",
+        "on triangles" if needs.triangle_share > 0 else "on texels",
         f"level {needs.level}",
         needs.heading.name.lower(),
     )
