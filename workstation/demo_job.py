@@ -165,6 +165,7 @@ def run_demo(
             session=Session.open(sessions / SCAN_SESSION),
             photographs=Session.open(sessions / PHOTOGRAPHS_SESSION),
             run=run,
+            view_px=capture.render_px,
             more=(truth.section(processed.copy), _calibration_section(calibration)),
         )
 

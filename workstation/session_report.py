@@ -29,7 +29,7 @@ from workstation.report_stages import stages_section
 
 # Parts that progress is told of: contact sheet, maps and views.
 PARTS = 2 + len(NamedView)
-_RENDER_SIZE = (640, 480)
+_VIEW_PX = (640, 480)
 _JPEG_QUALITY = 88
 
 
@@ -41,6 +41,7 @@ def write_session_report(
     photographs: Session | None = None,
     run: dict[str, Any] | None = None,
     more: Sequence[Section] = (),
+    view_px: tuple[int, int] = _VIEW_PX,
     begin: Callable[[str], None] = lambda part: None,
 ) -> dict[str, Any]:
     """Write the report of a copy as one HTML page.
@@ -58,6 +59,8 @@ def write_session_report(
         Record of the run that made the copy, for what each stage took.
     more : sequence of Section
         Further parts, after the errors.
+    view_px : (int, int)
+        Width and height of a view.
     begin : callable
         Called with the name of each part as it is begun, :data:`PARTS` times at the most.
 
@@ -85,7 +88,7 @@ def write_session_report(
     held_out = held_out_section(copy_folder)
     if held_out is not None:
         sections.append(held_out)
-    sections += [_errors(copy), *more, _views(copy, begin)]
+    sections += [_errors(copy), *more, _views(copy, view_px, begin)]
     if run:
         sessions = tuple(one for one in (session, photographs) if one is not None)
         sections.append(stages_section(run, sessions))
@@ -271,8 +274,8 @@ def _compared(name: str, unit: str, predicted: float, observed: float) -> tuple[
     return (name, f"{predicted:.4g} {unit}", f"{observed:.4g} {unit}", ratio)
 
 
-def _views(copy: DigitalCopy, begin: Callable[[str], None]) -> Section:
-    width, height = _RENDER_SIZE
+def _views(copy: DigitalCopy, view_px: tuple[int, int], begin: Callable[[str], None]) -> Section:
+    width, height = view_px
     pictures = []
     with Painter() as painter:
         for name in NamedView:
