@@ -97,6 +97,20 @@ class PaintedScene:
         normal, slope = triangle_normals(field.height, mask, variance, PITCH_MM)
         return DigitalCopy(field, normal, classify_relief(field, ReliefOptions()), slope)
 
+    def surroundings(self, copy: DigitalCopy, *, reach_mm: float = 60.0) -> Floats:
+        """True points (n, 3) around a copy, a texel apart: they throw shadows on it."""
+        heights = copy.height_field
+        pitch = heights.pitch_mm
+        further = int(reach_mm / pitch)
+        rows, cols = heights.shape
+        x = heights.origin_mm[0] + pitch * np.arange(-further, cols + further)
+        y = heights.origin_mm[1] - pitch * np.arange(-further, rows + further)
+        grid = np.stack(np.meshgrid(x, y), axis=-1)
+        beyond = np.ones(grid.shape[:2], np.bool_)
+        beyond[further:-further, further:-further] = False
+        place = grid[beyond]
+        return np.column_stack([place, self.rig.painting.height_at(place[:, 0], place[:, 1])])
+
     def lamp(self, pose: ArmPose) -> Lamp:
         """The lamp as it truly is."""
         scene = self.rig.scene
@@ -197,6 +211,18 @@ class PaintedScene:
 def lamp_poses(count: int) -> list[ArmPose]:
     """Poses spread evenly over what the simulated arm reaches."""
     return spread_poses(LIMITS, count)
+
+
+def low_lamp_poses(count: int) -> list[ArmPose]:
+    """Poses all around at 8° to 14° above the canvas, where strokes throw long shadows.
+
+    Lower, the frame does, from beyond what is looked at.
+    """
+    turn = np.arange(count) * math.pi * (3 - math.sqrt(5)) % LIMITS.azimuth[1]
+    return [
+        ArmPose(float(azimuth), float(elevation))
+        for azimuth, elevation in zip(turn, np.radians(np.linspace(8, 14, count)), strict=True)
+    ]
 
 
 def _of_larger_pixels(matrix: Floats) -> Floats:

@@ -43,7 +43,11 @@ _CORNELL_BOUNDS = {"garnet_red": 0.249, "krylon_blue": 0.265}
 
 
 def bench(
-    *, oracle_texels: int = 2000, timed_texels: int = 20000, painting_width: int | None = 240
+    *,
+    oracle_texels: int = 2000,
+    timed_texels: int = 20000,
+    painting_width: int | None = 160,
+    pictures: Path | None = None,
 ) -> list[Record]:
     """Lobes against measured paint, a measured ball, NLopt, a simulated painting, and the clock.
 
@@ -55,6 +59,8 @@ def bench(
         Texels of the timed batch.
     painting_width : int or None
         Pixels of the simulated painting's photographs; None leaves the painting out.
+    pictures : Path, optional
+        Folder for photographs beside renderings, and for run time against error.
     """
     records = []
     data = os.environ.get("IMPASTO_REAL_DATA")
@@ -68,7 +74,7 @@ def bench(
     if painting_width is not None:
         from workstation.benchmarks.painted_reflectance import bench_painting
 
-        records += bench_painting(width=painting_width)
+        records += bench_painting(width=painting_width, pictures=pictures)
     return records
 
 
