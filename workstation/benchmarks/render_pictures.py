@@ -8,6 +8,7 @@ from statistics import median
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter, ScalarFormatter
 
 from render.painting_node import Mode
 from render.picture_files import write_contact_sheet
@@ -58,6 +59,8 @@ def _draw_time_and_error(path: Path, cases: list[Case]) -> None:
             axis.loglog(ms, error, "o", color=_COLOURS[Mode(mode)], label=mode)
         axis.axhline(0.25, color="0.5", linewidth=0.5, linestyle="--")
         axis.set(title=view, xlabel="painting pass (ms)", ylabel="95 % parallax (px)")
+        axis.xaxis.set_major_formatter(ScalarFormatter())
+        axis.xaxis.set_minor_formatter(NullFormatter())
     figure.legend(*axis.get_legend_handles_labels(), loc="outside right upper")
     figure.savefig(path, dpi=100)
 
