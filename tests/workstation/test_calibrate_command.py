@@ -11,14 +11,16 @@ from impasto_command import impasto
 
 from acquisition.scan import plan_scan, scan
 from acquisition.session_writer import SessionWriter
-from calibration.lens import transform
+from calibration.lens import compose, invert, rt_from_matrix, transform
 from calibration.mrcal_solve import load_solution
 from calibration.rig_geometry import CAMERA_FILE, PROJECTOR_FILE, RigGeometry
 from devices.simulated.board import make_board
 from devices.simulated.rig import SimulatedRig
 from devices.simulated.scene_objects import PlacedSurface
 from devices.simulated.settings import PaintingKind, SimulationSettings
+from devices.simulated.surface import Surface
 from workstation.demonstration import EXPOSURE_S, true_geometry
+from workstation.processing import process_session
 
 BOARD = ("--corners", 14, 10, "--square", 20, "--marker", 15, "--dictionary", "DICT_5X5_1000")
 # Tilt about x and y, turn, and place of the board's middle.
@@ -128,6 +130,41 @@ def test_the_report_asks_nothing_of_the_net_and_shows_every_part(calibrated):
     assert max(report["repeatability"]["rms_mm"]) < 0.05
     assert report["earlier"][0]["over_predicted"] < 2.5
     assert len(report["sessions"]) == len(POSES)
+
+
+def test_a_relief_scanned_by_the_calibrated_rig_errs_as_much_as_predicted(
+    rig, calibrated, tmp_path
+):
+    x, y = np.meshgrid(np.linspace(-180, 180, 361), np.linspace(140, -140, 281))
+    waves = 0.8 * np.sin(x / 22.0) * np.cos(y / 18.0)
+    board = rig.scene.subject
+    relief = Surface.uniform(
+        waves.astype(np.float32), pitch_mm=1.0, canvas_mm=(340.0, 260.0), back_mm=-4.0
+    )
+    try:
+        rig.scene.replace_subject(PlacedSurface(relief))
+        record(rig, tmp_path / "scan")
+        done = process_session(tmp_path / "scan", calibration=calibrated / "rig")
+        field = done.copy.height_field
+        at = np.stack(np.meshgrid(field.texel_x_mm(), field.texel_y_mm()), axis=-1)[field.mask]
+        points = np.column_stack([at, field.height[field.mask]]).astype(np.float64)
+        camera = rig.camera_lens
+        in_scene = compose(
+            invert(rt_from_matrix(camera.rotation, camera.translation)), field.rt_cam_canvas
+        )
+        points = transform(in_scene, points)
+        points = points[(np.abs(points[:, :2]) < [150, 110]).all(axis=1)]
+        error = points[:, 2] - relief.height_at(points[:, 0], points[:, 1])
+    finally:
+        rig.scene.replace_subject(board)
+    # Where the calibration puts the whole is told by its covariance, and no error of the relief.
+    plane = np.column_stack([np.ones(len(points)), points[:, :2]])
+    bent = error - plane @ np.linalg.lstsq(plane, error, rcond=None)[0]
+    calibration_mm = done.figures["calibration_uncertainty"]["height_sigma_mm"]
+    predicted = np.sqrt(np.mean(field.variance[field.mask]) + calibration_mm**2)
+    assert len(error) > 100_000
+    assert 0.85 < np.sqrt(np.mean(bent**2)) / predicted < 1.2
+    assert abs(error.mean()) < 0.5
 
 
 def test_too_few_tilts_are_refused_with_code_5_and_nothing_is_written(poses, tmp_path):
