@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from fitting.reflectance.covariance_kernels import ALL, propagate_covariance
+from fitting.reflectance.covariance_kernels import ALL, exponent_spread, propagate_covariance
 from fitting.reflectance.descent_kernels import LobePrior
 from fitting.reflectance.flags import TexelFlag
 from fitting.reflectance.lobe_kernels import CHANNELS, PARAMETERS, make_workspace
@@ -154,7 +154,7 @@ def fit_range(
         propagate_covariance(space, rho, prior, range_precision, ceiling, covariance)
         fits.covariance[t] = covariance
         if remarks & _NO_HIGHLIGHT == 0:
-            spread = 1.0 / (prior.precision[0, 0] + range_precision[0])
+            spread = exponent_spread(prior, range_precision)
             remarks |= remark(shape, rho, prior.free, covariance[0, 0], spread, settings.bounds)
         elif n > 0 and not np.any(rho > 0.0):
             remarks |= _DARK

@@ -45,6 +45,15 @@ def invert_positive(matrix: Floats, inverse: Floats) -> None:
 
 
 @njit(cache=True, error_model="numpy")
+def exponent_spread(prior: LobePrior, range_precision: Floats) -> float:
+    """Variance of ln k before the samples are looked at, whatever ln r and ln c may be."""
+    information = prior.precision + np.diag(range_precision)
+    spread = np.empty((PARAMETERS, PARAMETERS))
+    invert_positive(information, spread)
+    return float(spread[0, 0])
+
+
+@njit(cache=True, error_model="numpy")
 def propagate_covariance(
     space: Workspace,
     rho: Floats,

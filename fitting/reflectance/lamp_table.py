@@ -113,8 +113,9 @@ class LampTable:
             raise FittingError(f"{path}: not a table of lamps ({error})") from None
         if not isinstance(content, dict) or content.get("format") != FORMAT:
             raise FittingError(f"{path}: not a table of lamps of format {FORMAT!r}")
+        rows = content.get("lamps")
         poses, lamps = [], []
-        for number, row in enumerate(content.get("lamps") or [], start=1):
+        for number, row in enumerate(rows if isinstance(rows, list) else [], start=1):
             try:
                 poses.append(
                     ArmPose(math.radians(row["azimuth_deg"]), math.radians(row["elevation_deg"]))

@@ -23,7 +23,6 @@ from fitting.reflectance.solver import SolverOptions, fit_texels
 Floats = NDArray[np.float64]
 
 FOLDS = 4
-_TIGHTNESS = (1.0, 0.5, 0.25)
 _WHITE_PERCENTILE = 99.9
 # What is more complex must predict better by this many standard errors of the difference.
 _SIGNIFICANT = 2.0

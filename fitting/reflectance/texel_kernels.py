@@ -35,22 +35,14 @@ Singles = NDArray[np.float32]
 
 DIFFUSE = int(TexelFlag.DIFFUSE)
 UNOBSERVED = int(TexelFlag.UNOBSERVED)
-LOBE_FROM_PRIOR = int(TexelFlag.LOBE_FROM_PRIOR)
-AT_BOUND = int(TexelFlag.AT_BOUND)
 NOT_CONVERGED = int(TexelFlag.NOT_CONVERGED)
-NO_SAMPLES = int(TexelFlag.NO_SAMPLES)
-DARK = int(TexelFlag.DARK)
-SAMPLES_DROPPED = int(TexelFlag.SAMPLES_DROPPED)
 NOT_FINITE = int(TexelFlag.NOT_FINITE)
 
-_CHUNK = 64
 _REWEIGHTINGS = 8
 _CLOSELY = 1e-4
 _ROUGHLY = 1e-2
-_HARDLY_NARROWED = 0.7  # variance of ln k over the prior's
-_FAR_BEYOND = (
-    1e4  # variance over the largest that ρ can have: a thousand times the brightest sample
-)
+# ρ² over the largest variance that ρ can have: a thousand times the brightest sample.
+_FAR_BEYOND = 1e4
 
 
 class SampleArrays(NamedTuple):

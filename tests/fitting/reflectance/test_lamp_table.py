@@ -38,6 +38,8 @@ def test_a_pose_that_nobody_calibrated_is_refused(file):
         ("{", "not a table"),
         ("[]", "format"),
         ('{"format": "impasto-lamps-1"}', "no lamp"),
+        ('{"format": "impasto-lamps-1", "lamps": 5}', "no lamp"),
+        ('{"format": "impasto-lamps-1", "lamps": [5]}', "lamp 1"),
         ('{"format": "impasto-lamps-1", "lamps": [{"azimuth_deg": 1}]}', "lamp 1"),
     ],
 )

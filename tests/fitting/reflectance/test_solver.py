@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from lafortune_samples import make_lobes, observe
@@ -260,6 +262,22 @@ def test_lobes_that_come_from_the_prior_say_so():
     assert faint.standard_errors[borrowed, 0].min() > 0.8 * 0.4
     clear = fit_texels(observe(truth, 96, 16), [KNOWN])
     assert clear.flagged(TexelFlag.LOBE_FROM_PRIOR).mean() < 0.02
+
+
+def test_a_lobe_comes_from_the_prior_only_if_ln_k_itself_is_no_better_known():
+    # ln k and ln r go together in this prior: one of them alone, the other being known, varies by
+    # half as much as without that knowledge.
+    together = np.array([[0.16, 0.0104], [0.0104, 0.0009]])
+    covariance = np.diag([1.0, 1.0, 4e-4])
+    covariance[:2, :2] = together
+    truth = make_lobes(400, np.random.default_rng(16))
+    material = dataclasses.replace(KNOWN, shape_covariance=covariance)
+    fits = fit_texels(observe(truth, 8, 16, noise=20.0), [material])
+    seen = fits.has_highlight
+    variance, alone = fits.covariance[:, 0, 0], np.linalg.inv(together)[0, 0] ** -1
+    between = seen & (variance > 0.7 * alone) & (variance < 0.6 * together[0, 0])
+    assert between.sum() > 20
+    assert not fits.flagged(TexelFlag.LOBE_FROM_PRIOR)[between].any()
 
 
 def test_exponents_at_the_end_of_their_range_are_flagged():

@@ -100,10 +100,14 @@ def test_rays_from_an_eye_meet_the_surface_where_it_is():
 
 def test_rays_that_come_in_below_the_edge_miss():
     terrain = Terrain.of(make_copy(np.full((20, 20), 3.0), pitch=1.0).height_field)
-    rays = np.array([[-1.0, 0.0, -0.05], [-1.0, 0.0, -0.5], [0.0, 0.0, 1.0]])
-    met = terrain.seen_from(np.array([15.0, 0.0, 3.1]), rays)
-    assert np.isnan(met[[0, 2]]).all() or np.isfinite(met[0]).all()
-    assert np.isnan(terrain.seen_from(np.array([30.0, 0.0, 3.1]), rays[1:2])).all()
+    eye = np.array([15.0, 0.0, 3.1])
+    # Below the edge, far below it, upwards; over the edge, and beyond the far one.
+    rays = np.array(
+        [[-1.0, 0.0, -0.05], [-1.0, 0.0, -0.5], [0.0, 0.0, 1.0], [-1, 0, -0.01], [-1, 0, -0.004]]
+    )
+    met = terrain.seen_from(eye, rays)
+    assert np.isnan(met[[0, 1, 2, 4]]).all()
+    assert met[3] == pytest.approx([5.0, 0.0, 3.0], abs=1e-3)
 
 
 def test_a_frame_beyond_the_canvas_throws_its_shadow():
