@@ -10,6 +10,7 @@ from pathlib import Path
 
 from acquisition.session import Session
 from calibration.procam import ProcamOptions
+from devices.simulated.arm_targets import white_reflectance
 from fitting.reflectance.maps import MapOptions
 from fitting.reflectance.recorded_photographs import PhotographOptions
 from workstation.board_poses import find_sessions, measure_poses
@@ -37,8 +38,6 @@ from workstation.stage_cache import StageCache
 RIG_FOLDER = "rig"
 LAMPS_FILE = "lamps.json"
 _MODEL = "LENSMODEL_OPENCV5"
-# Of the simulated white target.
-_TARGET_ALBEDO = 0.9
 
 
 def calibrate_from_board(sessions: Path, out: Path) -> CalibratedRig:
@@ -53,7 +52,7 @@ def calibrate_arm(sessions: Path, done: CalibratedRig, out: Path) -> CalibratedL
     """Calibrate the light arm, and write the table of its lamps."""
     options = LightOptions(
         sphere_mm=SPHERE_MM,
-        albedo=_TARGET_ALBEDO,
+        albedo=white_reflectance(),
         mosaic=MOSAIC,
     )
     rig = done.calibration.rig_with_covariance()

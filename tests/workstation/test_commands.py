@@ -5,7 +5,6 @@ import re
 import shlex
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 import typer
+from impasto_command import IMPASTO, impasto
 from synthetic_copy import make_copy, strokes
 from synthetic_scan import expose, fringe_patterns, make_plan
 
@@ -24,13 +24,7 @@ from render.painting_node import Mode
 from render.views import NamedView
 from workstation import commands
 
-IMPASTO = Path(sys.executable).parent / "impasto"
 CAPTURES = Path(__file__).parents[2] / "fixtures" / "captures"
-
-
-def impasto(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    words = [str(IMPASTO), *map(str, arguments)]
-    return subprocess.run(words, capture_output=True, text=True, cwd=cwd, timeout=300)
 
 
 def test_help_names_every_command_and_each_shows_an_example():
@@ -147,12 +141,12 @@ files = ["a.png", "b.png", "c.png"]
     ("sign", "stage"),
     [
         (signal.SIGTERM, "scanning"),
-        (signal.SIGINT, "reconstructing"),
-        (signal.SIGINT, "rendering near-front"),
+        (signal.SIGINT, "fitting the reflectance"),
+        (signal.SIGINT, "rendering six views"),
     ],
 )
 def test_an_interrupted_demo_leaves_nothing(tmp_path, sign, stage):
-    words = [str(IMPASTO), "demo", "--out", str(tmp_path / "demo")]
+    words = [str(IMPASTO), "demo", "--size", "tiny", "--out", str(tmp_path / "demo")]
     running = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
     assert running.stderr is not None
     for line in running.stderr:
