@@ -17,7 +17,6 @@ from devices.simulated.rig import SimulatedRig
 from devices.simulated.truth import truth_of
 from fitting.digital_copy import DigitalCopy
 from fitting.reflectance.lamp_table import LampTable
-from fitting.reflectance.recorded_photographs import lamp_seen_from
 from workstation.demonstration import (
     HeightError,
     align_to_truth,
@@ -43,7 +42,7 @@ class DeclaredLamps:
         position = scene.arm.lamp_position(pose)
         axis = scene.lamp.axis(position, scene.arm)
         lamp = Lamp(position, axis, self._intensity(), scene.lamp.exponent)
-        return lamp_seen_from(invert(rt_true_camera(self.rig)), lamp)
+        return lamp.transformed(invert(rt_true_camera(self.rig)))
 
     def _intensity(self) -> NDArray[np.float64]:
         scene = self.rig.scene

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from tempfile import TemporaryFile
 
 import cv2
 import numpy as np
@@ -20,6 +21,7 @@ from fitting.digital_copy import DigitalCopy
 from fitting.errors import FittingError
 from fitting.height_field import HeightField
 from fitting.reflectance.photographs import Photograph
+from fitting.reflectance.scratch_pictures import ScratchPictures
 from fitting.relief import Relief, ReliefBoxes
 
 Singles = NDArray[np.float32]
@@ -61,18 +63,27 @@ def read_light_only(
     """
     path = Path(path)
     lights = read_lp(path, pictures=path.parent)
-    photographs: list[Photograph] = []
-    for name, direction in zip(lights.pictures, lights.directions, strict=True):
-        radiance, variance = _read_picture(path.parent / name, linear=linear)
-        if photographs and radiance.shape != photographs[0].radiance.shape:
-            first = photographs[0].radiance.shape
-            raise FittingError(
-                f"{path.parent / name} has {radiance.shape[1]} × {radiance.shape[0]} pixels, the "
-                f"first picture {first[1]} × {first[0]}: they must show the same"
-            )
-        photographs.append(_distant(name, radiance, variance, direction, pitch_mm))
-    rows, cols = photographs[0].radiance.shape[:2]
-    return _flat_copy(rows, cols, pitch_mm), photographs
+    first: tuple[int, ...] = ()
+    with TemporaryFile(prefix="impasto-pictures-") as file:
+        pictures = ScratchPictures(file)
+        for name in lights.pictures:
+            radiance, variance = _read_picture(path.parent / name, linear=linear)
+            first = first or radiance.shape
+            if radiance.shape != first:
+                raise FittingError(
+                    f"{path.parent / name} has {radiance.shape[1]} × {radiance.shape[0]} pixels, "
+                    f"the first picture {first[1]} × {first[0]}: they must show the same"
+                )
+            pictures.append(radiance)
+            pictures.append(variance)
+        planes = pictures.mapped()
+    photographs = [
+        _distant(name, planes[2 * number], planes[2 * number + 1], direction, pitch_mm)
+        for number, (name, direction) in enumerate(
+            zip(lights.pictures, lights.directions, strict=True)
+        )
+    ]
+    return _flat_copy(first[0], first[1], pitch_mm), photographs
 
 
 def _distant(
@@ -95,11 +106,16 @@ def _distant(
 
 
 def _read_picture(path: Path, *, linear: bool) -> tuple[Singles, Singles]:
-    """Linear RGB, NaN where a channel is saturated, and its variance."""
+    """Linear RGB, NaN where a channel is saturated, and its variance.
+
+    Grey pictures have three equal channels, whose variance is tripled: together they say no more
+    than one.
+    """
     picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if picture is None:
         raise FittingError(f"{path}: not a readable picture")
-    if picture.ndim == 2:
+    grey = picture.ndim == 2
+    if grey:
         picture = np.repeat(picture[..., np.newaxis], 3, axis=2)
     picture = picture[..., 2::-1]
     if picture.dtype == np.float32:
@@ -121,7 +137,7 @@ def _read_picture(path: Path, *, linear: bool) -> tuple[Singles, Singles]:
     variance = (sigma * slope) ** 2 + np.float32(_PHOTONS) * np.maximum(radiance, 0)
     saturated = (picture >= full).any(axis=2) | ~np.isfinite(radiance).all(axis=2)
     radiance[saturated] = np.nan
-    return radiance, variance.astype(np.float32)
+    return radiance, (3.0 * variance if grey else variance).astype(np.float32)
 
 
 def _flat_copy(rows: int, cols: int, pitch_mm: float) -> DigitalCopy:

@@ -1,7 +1,7 @@
 """Photographs of a session, merged, freed of other light, and ready to be back-projected.
 
 Each bracket is merged into radiance per second (:mod:`acquisition.merged_photographs`). The merged
-photographs lie in scratch files that are mapped into memory, so that any number of them takes
+photographs lie in a scratch file that is mapped into memory, so that any number of them takes
 little of it.
 """
 
@@ -10,12 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.hdr import RadianceImage
 from acquisition.merged_photographs import (
     PhotographMerger,
     lamp_drift_by_place,
@@ -24,12 +24,13 @@ from acquisition.merged_photographs import (
 from acquisition.session import Session
 from calibration.flat_field import FlatField
 from calibration.lamp import Lamp
-from calibration.lens import invert, rotation, transform
+from calibration.lens import invert
 from calibration.registration import RegisteredView
 from devices.bayer import BayerPattern
 from devices.interfaces import ArmPose
 from fitting.errors import FittingError
 from fitting.reflectance.photographs import Photograph
+from fitting.reflectance.scratch_pictures import ScratchPictures
 
 Singles = NDArray[np.float32]
 
@@ -90,7 +91,7 @@ def read_photographs(
     rt_rig_canvas : (6,) array
         Pose of the canvas in the rig's frame: a height field's ``rt_cam_canvas``.
     scratch : Path
-        Folder for the merged photographs; they must outlive the result's use.
+        Folder for the merged photographs, in a file without a name that goes when they do.
     options : PhotographOptions, optional
     advance : callable, optional
         Called with the name of each photograph that was read.
@@ -121,65 +122,47 @@ def read_photographs(
         flat_field = lamps.flat_field.gain_picture(
             origin=(crop.column, crop.row), shape=(crop.height, crop.width)
         )
-    found = []
-    for number, frames in enumerate(brackets):
-        place, pose = frames[0].camera_position, frames[0].arm_pose
-        assert pose is not None  # a lamp is lit at a pose: the plan sees to that
-        if place not in views:
-            raise FittingError(f"{session.path}: photographs from {place!r} are not registered")
-        if place not in places:
-            places[place] = PhotographMerger.of(session, place)
-        name = f"{place or 'photograph'}-{number:04d}"
-        merged = places[place].merge(frames)
-        ratio = drift[place](session.recorded[frames[0].id].wall_time) if place in drift else 1.0
-        radiance, variance = _in_scratch(merged, scratch / name, colour=options.mosaic is None)
-        view = views[place]
-        found.append(
-            Photograph(
-                name=name,
-                radiance=radiance,
-                variance=variance,
-                lens=view.lens,
-                rt_cam_canvas=view.rt_cam_canvas(rt_rig_canvas),
-                lamp=lamp_seen_from(canvas_of_rig, lamps.lamp(pose)),
-                mosaic=_shifted(options.mosaic, crop.row, crop.column),
-                first_pixel=(crop.column, crop.row),
-                exposure=ratio,
-                flat_field=flat_field,
-            )
+    grey = options.mosaic is None
+    found: list[tuple[str, RegisteredView, Lamp, float]] = []
+    with TemporaryFile(prefix="photographs-", dir=scratch) as file:
+        pictures = ScratchPictures(file)
+        for number, frames in enumerate(brackets):
+            place, pose = frames[0].camera_position, frames[0].arm_pose
+            assert pose is not None  # a lamp is lit at a pose: the plan sees to that
+            if place not in views:
+                raise FittingError(f"{session.path}: photographs from {place!r} are not registered")
+            if place not in places:
+                places[place] = PhotographMerger.of(session, place)
+            name = f"{place or 'photograph'}-{number:04d}"
+            merged = places[place].merge(frames)
+            pictures.append(merged.radiance)
+            pictures.append(3.0 * merged.variance if grey else merged.variance)
+            taken = session.recorded[frames[0].id].wall_time
+            drifted = drift[place](taken) if place in drift else 1.0
+            lamp = lamps.lamp(pose).transformed(canvas_of_rig)
+            found.append((name, views[place], lamp, drifted))
+            advance(name)
+        planes = pictures.mapped()
+    return [
+        Photograph(
+            name=name,
+            radiance=_in_colour(planes[2 * number], grey=grey),
+            variance=_in_colour(planes[2 * number + 1], grey=grey),
+            lens=view.lens,
+            rt_cam_canvas=view.rt_cam_canvas(rt_rig_canvas),
+            lamp=lamp,
+            mosaic=_shifted(options.mosaic, crop.row, crop.column),
+            first_pixel=(crop.column, crop.row),
+            exposure=drifted,
+            flat_field=flat_field,
         )
-        advance(name)
-    return found
+        for number, (name, view, lamp, drifted) in enumerate(found)
+    ]
 
 
-def lamp_seen_from(rt_a_b: NDArray[np.float64], lamp: Lamp) -> Lamp:
-    """A lamp given in frame b, in frame a."""
-    return Lamp(
-        transform(rt_a_b, lamp.position),
-        rotation(rt_a_b) @ lamp.axis,
-        lamp.intensity,
-        lamp.exponent,
-    )
-
-
-def _in_scratch(image: RadianceImage, path: Path, *, colour: bool) -> tuple[Singles, Singles]:
-    """Radiance and variance as read-only memory maps; saturated pixels stay without value."""
-    maps = []
-    for name, array in (("radiance", image.radiance), ("variance", image.variance)):
-        file = path.with_name(f"{path.name}-{name}.npy")
-        np.save(file, array)
-        maps.append(np.load(file, mmap_mode="r"))
-    radiance, variance = maps
-    if not colour:
-        return radiance, variance
-    shape = (*radiance.shape, 3)
-    tripled = path.with_name(f"{path.name}-variance.npy")
-    np.save(tripled, 3.0 * image.variance)
-    variance = np.load(tripled, mmap_mode="r")
-    return (
-        np.broadcast_to(radiance[..., np.newaxis], shape),
-        np.broadcast_to(variance[..., np.newaxis], shape),
-    )
+def _in_colour(plane: Singles, *, grey: bool) -> Singles:
+    """A plane, as three channels that are one if it is grey."""
+    return np.broadcast_to(plane[..., np.newaxis], (*plane.shape, 3)) if grey else plane
 
 
 def _shifted(mosaic: BayerPattern | None, row: int, col: int) -> BayerPattern | None:

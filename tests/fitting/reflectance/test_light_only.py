@@ -50,6 +50,19 @@ def test_a_texel_is_a_pixel_and_its_reflectance_that_of_the_pictures(tmp_path, k
     assert samples.view[inside][..., 2].min() > 0.9999
 
 
+def test_pictures_lie_on_disk_and_grey_ones_say_no_more_than_one_channel(tmp_path):
+    _, photographs = read_light_only(write_dome(tmp_path))
+    assert all(isinstance(photograph.variance, np.memmap) for photograph in photographs)
+    for number in range(len(DIRECTIONS)):
+        picture = cv2.imread(str(tmp_path / f"{number}.png"), cv2.IMREAD_UNCHANGED)
+        cv2.imwrite(str(tmp_path / f"{number}.png"), picture[..., 1])
+    _, grey = read_light_only(tmp_path / "lights.lp")
+    for own, other in zip(grey, photographs, strict=True):
+        for channel in range(3):
+            assert np.array_equal(own.radiance[5:, :, channel], other.radiance[5:, :, 1])
+            assert own.variance[..., channel] == pytest.approx(3 * other.variance[..., 1])
+
+
 def test_pictures_of_different_sizes_or_none_are_refused(tmp_path):
     path = write_dome(tmp_path)
     cv2.imwrite(str(tmp_path / "2.png"), np.zeros((5, 5, 3), np.uint16))

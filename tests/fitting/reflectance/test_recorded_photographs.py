@@ -19,7 +19,6 @@ from devices.bayer import BayerPattern
 from fitting.errors import FittingError
 from fitting.reflectance.recorded_photographs import (
     PhotographOptions,
-    lamp_seen_from,
     read_photographs,
 )
 
@@ -107,6 +106,7 @@ def test_grey_photographs_say_no_more_in_three_channels_than_in_one(tmp_path):
     grey, mosaic = (read(session, tmp_path, **o) for o in ({}, {"mosaic": BayerPattern.RGGB}))
     assert grey[0].radiance.shape == (HEIGHT, WIDTH, 3)
     assert np.array_equal(grey[0].radiance[..., 2], mosaic[0].radiance)
+    assert grey[0].variance[..., 1] == pytest.approx(3 * mosaic[0].variance)
 
 
 class FadingCamera(TinyCamera):
@@ -145,7 +145,7 @@ def test_places_that_are_not_registered_are_named(tmp_path):
 
 def test_a_lamp_keeps_what_it_sends_when_the_frame_changes():
     one = lamp(40, 70)
-    moved = lamp_seen_from(RT_RIG_CANVAS, one)
+    moved = one.transformed(RT_RIG_CANVAS)
     points = np.random.default_rng(0).normal(0, 30, (5, 3))
     assert moved.irradiance(transform(RT_RIG_CANVAS, points)) == pytest.approx(
         one.irradiance(points)
