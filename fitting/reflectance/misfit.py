@@ -47,10 +47,17 @@ def median_radiance(samples: RadianceSamples) -> float:
     return max(float(np.median(valid)), 0.0) if valid.size else 0.0
 
 
-def reduced_chi_square(fits: TexelFits, variant: int) -> float:
+def independent_channels(samples: RadianceSamples) -> int:
+    """One if the samples are grey, which carry one channel thrice under tripled variance."""
+    red, green, blue = np.moveaxis(samples.radiance, -1, 0)
+    grey = np.array_equal(red, green, equal_nan=True) and np.array_equal(red, blue, equal_nan=True)
+    return 1 if grey else 3
+
+
+def reduced_chi_square(fits: TexelFits, variant: int, *, channels: int = 3) -> float:
     """Median over texels of the cost per degree of freedom; 1 where nothing can be judged by."""
-    unknowns = np.where(fits.has_highlight, 6 + variant, 3)
-    freedom = 3 * fits.samples - unknowns
+    unknowns = np.where(fits.has_highlight, 2 * channels + variant, channels)
+    freedom = channels * fits.samples - unknowns
     judged = freedom > 0
     if not judged.any():
         return 1.0
@@ -69,7 +76,8 @@ def has_misfit(samples: RadianceSamples, material: Material, *, options: SolverO
     options : SolverOptions
     """
     fits = fit_texels(samples, [material], options=options)
-    return reduced_chi_square(fits, int(material.variant)) > _UNREMARKABLE
+    channels = independent_channels(samples)
+    return reduced_chi_square(fits, int(material.variant), channels=channels) > _UNREMARKABLE
 
 
 def with_misfit(samples: RadianceSamples, material: Material, shape: MisfitShape) -> Material:

@@ -16,6 +16,7 @@ from fitting.reflectance.flags import TexelFlag
 from fitting.reflectance.held_out import Relighting, compare_held_out, pooled_psnr_db
 from fitting.reflectance.lobe import LafortuneLobes
 from fitting.reflectance.maps import MapOptions, fit_maps
+from fitting.reflectance.relighting_kernels import relight
 from fitting.reflectance.samples import local_frames
 from fitting.reflectance.terrain import Terrain
 
@@ -146,7 +147,7 @@ def test_photographs_of_something_else_are_refused():
         fit_maps(sampler, options=OPTIONS)
 
 
-def test_rendering_is_the_lobes_own_formula():
+def test_pixels_show_the_texels_that_are_projected_there():
     copy = painted(24, 30)
     random = np.random.default_rng(0)
     shape = copy.height_field.shape
@@ -180,3 +181,43 @@ def test_rendering_is_the_lobes_own_formula():
     usable = close & np.isfinite(found).all(axis=1) & (found > 0).all(axis=1)
     assert usable.sum() >= 4
     assert found[usable] == pytest.approx(expected[usable], rel=0.1)
+
+
+def test_rendering_is_the_lobes_own_formula():
+    copy = painted(24, 30)
+    random = np.random.default_rng(0)
+    shape = copy.height_field.shape
+    c_x = -random.uniform(0.8, 1.2, shape)
+    c_y = c_x * random.uniform(0.7, 1.4, shape)
+    own = np.stack([c_x, c_y, np.ones(shape), random.uniform(2, 60, shape)], axis=-1)
+    own = own.astype(np.float32)
+    maps = copy.reflectance
+    tilts = random.uniform(-0.4, 0.4, (*shape, 2)).astype(np.float32)
+    flat = tilts.reshape(-1, 2).astype(float)
+    frames = local_frames(np.column_stack([flat, np.sqrt(1 - np.sum(flat**2, axis=1))]))
+    towards = random.normal((0, 0, 1), 0.3, (2, len(flat), 3))
+    view, light = towards / np.linalg.norm(towards, axis=2, keepdims=True)
+    irradiance = random.uniform(0.5, 2, (len(flat), 3))
+    lamps = (view, light, irradiance)
+    row, col = np.divmod(np.arange(len(flat)), shape[1])
+    places = np.column_stack([col, row]).astype(float)
+    found = relight(tilts, maps.diffuse, maps.specular, own, places, *lamps)
+    flat_own = own.reshape(-1, 4).astype(float)
+    shapes = np.column_stack(
+        [
+            np.log(flat_own[:, 3]),
+            np.log(-flat_own[:, 2] / flat_own[:, 0]),
+            np.log(flat_own[:, 1] / flat_own[:, 0]),
+        ]
+    )
+    lobes = LafortuneLobes(shapes, maps.diffuse.reshape(-1, 3), maps.specular.reshape(-1, 3))
+    local_view, local_light = (
+        np.einsum("nij,nj->ni", frames, way)[:, np.newaxis] for way in (view, light)
+    )
+    expected = lobes.radiance(local_view, local_light)[:, 0] * irradiance
+    assert found == pytest.approx(expected, rel=2e-4, abs=1e-7)
+    # Halfway between two texels it is their mean.
+    same = (np.repeat(one[:1], 3, axis=0) for one in lamps)
+    places = np.array([[3.5, 2.0], [3.0, 2.0], [4.0, 2.0]])
+    between = relight(tilts, maps.diffuse, maps.specular, own, places, *same)
+    assert between[0] == pytest.approx(between[1:].mean(axis=0), rel=1e-5)

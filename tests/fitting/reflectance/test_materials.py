@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from lafortune_samples import make_lobes, observe
@@ -64,6 +66,20 @@ def test_real_paint_is_not_one_lobe_and_says_so():
     assert has_misfit(glossy, Material(), options=DEFAULT_OPTIONS)
     exact = observe(make_lobes(150, np.random.default_rng(3)), 60, 3)
     assert not has_misfit(exact, Material(), options=DEFAULT_OPTIONS)
+
+
+@pytest.mark.parametrize(("off", "remarkable"), [(1.0, False), (1.4, True)])
+def test_grey_samples_are_one_channel_when_residuals_are_judged(off, remarkable):
+    rng = np.random.default_rng(6)
+    lobes = make_lobes(150, rng)
+    grey = LafortuneLobes(lobes.shape, np.repeat(lobes.diffuse[:, :1], 3, axis=1), lobes.specular)
+    samples = observe(grey, 60, 6)
+    noise = samples.radiance - grey.radiance(samples.view, samples.light)
+    one = (samples.radiance + (off - 1) * noise)[..., :1]
+    tripled = dataclasses.replace(
+        samples, radiance=np.repeat(one, 3, axis=2), variance=3 * samples.variance
+    )
+    assert has_misfit(tripled, Material(), options=DEFAULT_OPTIONS) is remarkable
 
 
 @pytest.fixture(scope="module")
