@@ -22,6 +22,7 @@ Floats = NDArray[np.float64]
 _WEAK_SD = np.array([1.2, 0.3, 0.3])
 _SMALLEST_SD = np.array([0.05, 0.01, 0.02])
 _SMALLEST_SPECULAR_SD = 0.05  # of the mean
+_KNOWN_HEIGHT = 0.3  # relative error of ρ_s up to which it counts as known
 _ITERATIONS = 30
 _FEWEST_TEXELS = 12
 
@@ -130,6 +131,27 @@ def with_varying_lobe(
     whole = np.diag(_SMALLEST_SD**2)
     whole[:free, :free] = covariance
     return replace(material, shape_mean=shape_mean, shape_covariance=whole)
+
+
+def with_varying_highlight(
+    material: Material, samples: RadianceSamples, *, options: SolverOptions
+) -> Material:
+    """The material with what its texels show of shape and of ρ_s, both varying at once.
+
+    Where the texels of a narrow lobe differ in r, ρ_s under the lobe that they share is off by the
+    k-th power of that. Unchanged where too few texels show a highlight whose height is known.
+    """
+    varying = with_varying_lobe(replace(material, specular_sd=None), samples, options=options)
+    fits = fit_texels(samples, [varying], options=options)
+    values = fits.lobes.specular
+    known = fits.has_highlight
+    known &= fits.standard_errors[:, 6:].max(axis=1) < _KNOWN_HEIGHT * values.max(axis=1)
+    if known.sum() < _FEWEST_TEXELS:
+        return material
+    mean = np.median(values[known], axis=0)
+    spread = 1.4826 * np.median(np.abs(values[known] - mean), axis=0)
+    smallest = _SMALLEST_SPECULAR_SD * max(float(mean.max()), 1e-300)
+    return replace(varying, specular_mean=mean, specular_sd=np.maximum(spread, smallest))
 
 
 def with_specular_prior(

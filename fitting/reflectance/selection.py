@@ -1,7 +1,8 @@
 """Which lobe, which misfit and how strong a prior a material gets: whatever predicts best.
 
 Every candidate is fitted to some of the samples of each texel and judged by the others, so that
-nothing is chosen for fitting its own data well. The error is that of a photograph exposed for the
+nothing is chosen for fitting its own data well. Only the few numbers of a prior are learned from
+the samples of all folds together. The error is that of a photograph exposed for the
 material: radiance clipped where only its brightest thousandth would be.
 """
 
@@ -16,7 +17,11 @@ from numpy.typing import NDArray
 from fitting.reflectance.lobe import LafortuneLobes, LobeVariant
 from fitting.reflectance.materials import Material
 from fitting.reflectance.misfit import MISFIT_SHAPES, MisfitShape, has_misfit, with_misfit
-from fitting.reflectance.priors import learn_prior, with_varying_lobe
+from fitting.reflectance.priors import (
+    learn_prior,
+    with_varying_highlight,
+    with_varying_lobe,
+)
 from fitting.reflectance.samples import RadianceSamples
 from fitting.reflectance.solver import SolverOptions, fit_texels
 
@@ -116,6 +121,9 @@ def choose_material(samples: RadianceSamples, *, options: SolverOptions) -> Mate
         if other is not None and (judged := _judge(samples, other, options)).beats(best):
             best = judged
     varying = _judge(samples, with_varying_lobe(best.material, samples, options=options), options)
+    freed = with_varying_highlight(best.material, samples, options=options)
+    if (judged := _judge(samples, freed, options)).beats(varying):
+        varying = judged
     others = [
         best,
         *(_judge(samples, m, options) for m in _tighter(best.material, varying.material)),

@@ -14,6 +14,7 @@ from fitting.reflectance.clusters import (
     fit_reflectance,
     fit_tile,
 )
+from fitting.reflectance.flags import TexelFlag
 from fitting.reflectance.lobe import LafortuneLobes, LobeVariant
 from fitting.reflectance.materials import Material
 from fitting.reflectance.misfit import has_misfit
@@ -54,6 +55,26 @@ def test_variant_is_the_one_that_predicts(ln_r, ln_c, variant):
     assert material.misfit_floor == 0
     assert material.misfit_relative == 0
     np.testing.assert_allclose(material.shape_mean, [3.5, ln_r, ln_c], atol=0.05)
+
+
+def test_narrow_lobes_that_differ_in_r_do_not_spoil_what_is_known_of_their_height():
+    truth = make_lobes(150, np.random.default_rng(3), ln_k=(4.5, 0.1))
+    samples = observe(truth, 60, 3)
+    lobe = LafortuneLobes(truth.shape, np.zeros((150, 3)), np.ones((150, 3)))
+    reach = lobe.reflectance(samples.view, samples.light)[..., 0]
+    # The highlight of every fifth texel is seen by no sample.
+    hidden = np.arange(150) % 5 == 0
+    samples = samples.masked(~hidden[:, np.newaxis] | (reach < 1e-3))
+    material = choose_material(samples, options=DEFAULT_OPTIONS)
+    assert material is not None
+    # Evenly between 0.2 and 0.6.
+    np.testing.assert_allclose(material.specular_mean, 0.4, rtol=0.2)
+    assert np.all((material.specular_sd > 0.03) & (material.specular_sd < 0.25))
+    fits = fit_texels(samples, [material])
+    assert fits.flagged(TexelFlag.UNOBSERVED)[hidden].mean() >= 0.95
+    seen = fits.has_highlight & ~hidden
+    z = (fits.lobes.shape[seen, 0] - truth.shape[seen, 0]) / fits.standard_errors[seen, 0]
+    assert z.std() < 1.3
 
 
 def test_matt_paint_is_no_material_with_a_highlight():
