@@ -11,7 +11,8 @@ class TexelFlag(IntFlag):
     Attributes
     ----------
     DIFFUSE
-        A highlight would have been seen and was not: ρ_s is zero, the lobe is the prior's.
+        The material's highlight would have been seen and was not, or no highlight was seen and
+        nothing is known of one: ρ_s is zero, the lobe is the prior's.
     UNOBSERVED
         No sample could have shown the highlight: lobe and ρ_s are the cluster's.
     LOBE_FROM_PRIOR
