@@ -99,8 +99,8 @@ def _cornell(folder: Path) -> Iterator[Record]:
             bound=1.01 * known,
             sense=Sense.AT_MOST,
             runs=_RANDOM_STARTS,
-            note=f"relative RMS, worst start; best {min(errors):.4f}; starts differ in r alone, since "
-            "the solver looks through all k on its own",
+            note=f"relative RMS, worst start; best {min(errors):.4f}; starts differ in r alone, "
+            "since the solver looks through all k on its own",
         )
 
 
