@@ -36,8 +36,12 @@ class SolverOptions:
 
     Attributes
     ----------
+    search_starts : bool
+        Whether descents start from the best minima of a grid over (k, r); otherwise there is one,
+        from the material's lobe, which nothing but its own steps then improves on. That is for
+        judging descents; it says too little of where a highlight is not to skip anything.
     starts : int
-        Descents per texel: the best minima of a grid over (k, r), and the material's lobe.
+        Descents per texel: the best minima of the grid, and the material's lobe.
     start_ratios : tuple of float
         r of the grid, times the material's.
     weak_starts, weak_start_ratios : int and tuple of float
@@ -58,6 +62,7 @@ class SolverOptions:
         Steps of one descent.
     """
 
+    search_starts: bool = True
     starts: int = 2
     start_ratios: tuple[float, ...] = (0.86, 1.0, 1.16)
     weak_starts: int = 8
@@ -79,6 +84,11 @@ class SolverOptions:
             raise FittingError("Huber's limit, the tolerance and the start ratios must be positive")
         if not 0.0 < self.false_alarm_rate < 1.0:
             raise FittingError(f"false alarm rate is {self.false_alarm_rate}: between 0 and 1")
+        if self.skip_diffuse and not self.search_starts:
+            raise FittingError(
+                "without a search for starts nothing shows that a texel has no highlight: "
+                "skip_diffuse must be off"
+            )
 
 
 DEFAULT_OPTIONS = SolverOptions()
@@ -146,15 +156,17 @@ def highlight_threshold(false_alarm_rate: float, lobes_tried: int) -> float:
 
 def solver_settings(options: SolverOptions) -> SolverSettings:
     """What the compiled kernels are told."""
-    lobes_tried = EXPONENT_OCTAVES * len(options.start_ratios) + 1
+    ratios = options.start_ratios if options.search_starts else ()
+    weak_ratios = options.weak_start_ratios if options.search_starts else ()
+    lobes_tried = EXPONENT_OCTAVES * len(ratios) + 1
     threshold = highlight_threshold(options.false_alarm_rate, lobes_tried)
     needed = threshold if options.skip_diffuse else -np.inf
     return SolverSettings(
         shape_bounds(),
         int(options.starts),
-        np.log(np.array(options.start_ratios, dtype=np.float64)),
+        np.log(np.array(ratios, dtype=np.float64)),
         int(options.weak_starts),
-        np.log(np.array(options.weak_start_ratios, dtype=np.float64)),
+        np.log(np.array(weak_ratios, dtype=np.float64)),
         float(options.huber_limit),
         needed,
         _WEAK * threshold,

@@ -8,7 +8,7 @@ project; ``IMPASTO_REAL_DATA`` names the folder that holds them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 
 from fitting.errors import FittingError
 from fitting.reflectance.lobe import LafortuneLobes
+from fitting.reflectance.materials import Material
 from fitting.reflectance.samples import RadianceSamples, local_frames
+from fitting.reflectance.solver import SolverOptions, fit_texels
 from workstation.benchmarks.paint_samples import directions
 
 Floats = NDArray[np.float64]
@@ -26,6 +28,9 @@ CORNELL_LIMIT = math.radians(65.5)
 _BAND_CENTRES = (600.0, 540.0, 460.0)
 _BAND_WIDTH = 35.0
 _WAVELENGTHS = np.arange(400.0, 701.0, 10.0)
+LEAST_SQUARES = SolverOptions(huber_limit=math.inf)
+_DESCENT = replace(LEAST_SQUARES, search_starts=False, skip_diffuse=False)
+_BROADENING = math.log(4.0)
 HELD_OUT_LIGHTS = np.arange(96) % 8 == 4
 
 
@@ -58,6 +63,48 @@ def relative_rms(lobes: LafortuneLobes, samples: RadianceSamples) -> float:
     """Error of the reflectance over its size, both times cos θ, root mean square over RGB."""
     off = lobes.radiance(samples.view, samples.light) - samples.radiance
     return float(np.sqrt(np.sum(off**2) / np.sum(samples.radiance.astype(np.float64) ** 2)))
+
+
+def random_shapes(number: int, *, seed: int) -> Floats:
+    """Lobes to start from (n, 3): k evenly in ln k from 1 to 1000, r from 0.67 to 1.49."""
+    rng = np.random.default_rng(seed)
+    ln_k, ln_r = rng.uniform(0.0, math.log(1000.0), number), rng.uniform(-0.4, 0.4, number)
+    return np.column_stack([ln_k, ln_r, np.zeros(number)])
+
+
+def descended(samples: RadianceSamples, shapes: Floats) -> list[LafortuneLobes]:
+    """Lobes of one texel where single descents from given shapes (n, 3) end, n of them.
+
+    No grid is searched: least squares go downhill from exactly these k and r.
+    """
+    return [lobe for lobe, _ in _ends(samples, shapes)]
+
+
+def continued(samples: RadianceSamples, shapes: Floats) -> list[LafortuneLobes]:
+    """The same with continuation in k: the least cost that a start leads to, broadened or not.
+
+    A narrow lobe far off the highlight meets no sample that says where to go. So descents begin
+    from the start's r under k, k / 4, k / 16 … down to 1.
+    """
+    best = []
+    for shape in shapes:
+        broader = np.arange(shape[0], 0.0, -_BROADENING)
+        family = np.tile(shape, (len(broader) + 1, 1))
+        family[:, 0] = [*broader, 0.0]
+        best.append(min(_ends(samples, family), key=lambda end: end[1])[0])
+    return best
+
+
+def _ends(samples: RadianceSamples, shapes: Floats) -> list[tuple[LafortuneLobes, float]]:
+    """Lobe and cost where the descent from each shape ends."""
+    repeated = samples.take(np.zeros(len(shapes), np.intp))
+    starts = [Material(shape_mean=shape) for shape in shapes]
+    fits = fit_texels(repeated, starts, np.arange(len(shapes)), options=_DESCENT)
+    lobes, cost = fits.lobes, fits.cost
+    return [
+        (LafortuneLobes(lobes.shape[[i]], lobes.diffuse[[i]], lobes.specular[[i]]), float(cost[i]))
+        for i in range(len(shapes))
+    ]
 
 
 @dataclass(frozen=True)

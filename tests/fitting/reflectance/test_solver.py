@@ -305,6 +305,20 @@ def test_highlights_are_not_made_up_where_three_samples_could_mean_anything():
     assert np.all(fits.lobes.specular[made_up] == 0)
 
 
+def test_without_a_search_the_descent_goes_from_the_material_s_lobe():
+    truth = make_lobes(200, np.random.default_rng(19))
+    samples = observe(truth, 96, 19)
+    options = SolverOptions(search_starts=False, skip_diffuse=False)
+    beside = truth.shape + np.array([0.3, 0.02, 0.0])
+    near = [Material(shape_mean=shape) for shape in beside]
+    found = fit_texels(samples, near, np.arange(200), options=options)
+    searched = fit_texels(samples, options=SolverOptions(skip_diffuse=False))
+    assert np.mean(found.cost <= 1.001 * searched.cost) > 0.97
+    # From a narrow lobe that no sample meets there is nowhere to go, and nothing else is tried.
+    far = fit_texels(samples, [Material(shape_mean=np.array([7.0, 0.4, 0.0]))], options=options)
+    assert 0.3 < np.mean(far.cost > 1.01 * searched.cost) < 0.7
+
+
 def test_bad_texels_do_not_touch_their_neighbours():
     samples = observe(make_lobes(200, np.random.default_rng(12)), 60, 12)
     radiance = samples.radiance.copy()
@@ -337,6 +351,8 @@ def test_inputs_that_make_no_sense_are_refused():
         fit_texels(samples, [])
     with pytest.raises(FittingError, match="false alarm"):
         SolverOptions(false_alarm_rate=2.0)
+    with pytest.raises(FittingError, match="skip_diffuse"):
+        SolverOptions(search_starts=False)
 
 
 def test_no_texels_are_no_error():
