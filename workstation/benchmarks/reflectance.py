@@ -1,4 +1,4 @@
-"""Lobes against measured paint, a measured ball, NLopt, and the clock."""
+"""Lobes against measured paint, a measured ball, NLopt, known lobes, and the clock."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from fitting.reflectance.nlopt_oracle import TexelProblem, minimise_slsqp, rando
 from fitting.reflectance.samples import RadianceSamples
 from fitting.reflectance.solver import DEFAULT_OPTIONS, SolverOptions, fit_texels
 from workstation.benchmark_records import Record, Sense
+from workstation.benchmarks.lafortune_truth import bench_lafortune
 from workstation.benchmarks.measured_reflectance import (
     LEAST_SQUARES,
     continued,
@@ -33,6 +34,7 @@ from workstation.benchmarks.measured_reflectance import (
     relative_rms,
 )
 from workstation.benchmarks.paint_samples import glossy_finishes, paint_samples
+from workstation.benchmarks.stressed_texels import bench_stress
 
 Floats = NDArray[np.float64]
 
@@ -50,10 +52,11 @@ def bench(
     *,
     oracle_texels: int = 2000,
     timed_texels: int = 20000,
+    truth_texels: int = 4000,
     painting_width: int | None = 160,
     pictures: Path | None = None,
 ) -> list[Record]:
-    """Lobes against measured paint, a measured ball, NLopt, a simulated painting, and the clock.
+    """Lobes against measured paint, NLopt, known lobes, a simulated painting, and the clock.
 
     Parameters
     ----------
@@ -61,6 +64,8 @@ def bench(
         Texels held against NLopt: half of them with a highlight, half without.
     timed_texels : int
         Texels of the timed batch.
+    truth_texels : int
+        Texels whose lobes are known, that parameters and flags are held against.
     painting_width : int or None
         Pixels of the simulated painting's photographs; None leaves the painting out.
     pictures : Path, optional
@@ -75,6 +80,7 @@ def bench(
         ]
     ball = Path(data) / "diligent_ball" if data else None
     records += [_oracle(oracle_texels, ball), *_speed(timed_texels)]
+    records += [*bench_lafortune(texels=truth_texels), bench_stress()]
     if painting_width is not None:
         from workstation.benchmarks.painted_reflectance import bench_painting
 

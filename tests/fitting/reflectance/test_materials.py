@@ -4,7 +4,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-from lafortune_samples import make_lobes, observe
 
 from fitting.errors import FittingError
 from fitting.reflectance.clusters import (
@@ -22,6 +21,12 @@ from fitting.reflectance.priors import gaussian_population
 from fitting.reflectance.samples import RadianceSamples
 from fitting.reflectance.selection import choose_material
 from fitting.reflectance.solver import DEFAULT_OPTIONS, fit_texels
+from workstation.benchmarks.lafortune_samples import (
+    make_lobes,
+    narrow_highlights,
+    observe,
+    reached,
+)
 from workstation.benchmarks.paint_samples import glossy_finishes, paint_samples
 
 
@@ -58,13 +63,10 @@ def test_variant_is_the_one_that_predicts(ln_r, ln_c, variant):
 
 
 def test_narrow_lobes_that_differ_in_r_do_not_spoil_what_is_known_of_their_height():
-    truth = make_lobes(150, np.random.default_rng(3), ln_k=(4.5, 0.1))
-    samples = observe(truth, 60, 3)
-    lobe = LafortuneLobes(truth.shape, np.zeros((150, 3)), np.ones((150, 3)))
-    reach = lobe.reflectance(samples.view, samples.light)[..., 0]
+    truth, samples = narrow_highlights(150, seed=3)
     # The highlight of every fifth texel is seen by no sample.
     hidden = np.arange(150) % 5 == 0
-    samples = samples.masked(~hidden[:, np.newaxis] | (reach < 1e-3))
+    samples = samples.masked(~(hidden[:, np.newaxis] & reached(truth, samples)))
     material = choose_material(samples, options=DEFAULT_OPTIONS)
     assert material is not None
     # Evenly between 0.2 and 0.6.

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from lafortune_samples import make_lobes, observe
 
 from fitting.errors import FittingError
 from fitting.reflectance.lobe import LobeVariant
@@ -10,6 +9,7 @@ from fitting.reflectance.materials import Material
 from fitting.reflectance.nlopt_oracle import TexelProblem, minimise_slsqp, random_starts
 from fitting.reflectance.shared_lobe import PooledProblem, fit_pooled
 from fitting.reflectance.solver import SolverOptions, fit_texels
+from workstation.benchmarks.lafortune_samples import make_lobes, observe
 from workstation.benchmarks.paint_samples import glossy_finishes, paint_samples
 
 PRIOR = Material(

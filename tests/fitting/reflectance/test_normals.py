@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from lafortune_samples import make_lobes, observe
 
 from fitting.reflectance.clusters import Palette
 from fitting.reflectance.flags import TexelFlag
@@ -10,6 +9,7 @@ from fitting.reflectance.materials import Material
 from fitting.reflectance.normals import learned_spread, refine_normals, turned_samples
 from fitting.reflectance.samples import local_frames
 from fitting.reflectance.solver import fit_texels
+from workstation.benchmarks.lafortune_samples import make_lobes, observe
 
 TEXELS = 600
 PALETTE = Palette((Material(),), np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1, np.int64), 0.1)

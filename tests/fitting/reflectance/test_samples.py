@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from lafortune_samples import make_lobes, observe
 
 from fitting.errors import FittingError
 from fitting.reflectance.samples import RadianceSamples, local_frames
+from workstation.benchmarks.lafortune_samples import make_lobes, observe
 
 
 def test_frames_are_rotations_with_the_normal_as_z():
