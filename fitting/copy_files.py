@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from acquisition.atomic_files import folder_in_progress
 from fitting.digital_copy import DigitalCopy, ReflectanceMaps, ReflectanceQuality
 from fitting.errors import CopyError, FittingError
+from fitting.exr_files import write_exr
 from fitting.height_field import HeightField
 from fitting.map_rounding import MapRounding
 from fitting.reflectance.microfacet import MicrofacetMaps
@@ -87,9 +88,9 @@ def write_copy(
             "mask": field.mask.astype(np.float16),
             "significant": copy.relief.significant.astype(np.float16),
         }
-        _write_exr(folder / "relief.exr", relief)
+        write_exr(folder / "relief.exr", relief)
         sigma = {"height": np.sqrt(field.variance), "slope": copy.slope_sigma}
-        _write_exr(folder / "uncertainty.exr", {k: v.astype(np.float16) for k, v in sigma.items()})
+        write_exr(folder / "uncertainty.exr", {k: v.astype(np.float16) for k, v in sigma.items()})
         if copy.reflectance is not None:
             _write_reflectance(folder, copy.reflectance)
         if microfacets is not None:
@@ -116,7 +117,8 @@ def read_copy(path: Path) -> DigitalCopy:
     Raises
     ------
     CopyError
-        A file is missing or damaged, shapes disagree, or a measured value is not finite.
+        A file is missing or damaged, shapes disagree, a measured value is not finite, or a number
+        of ``copy.json`` is none that such a copy can have.
     """
     path = Path(path)
     header = _read_header(path / COPY_FILE)
@@ -136,7 +138,7 @@ def read_copy(path: Path) -> DigitalCopy:
             _array_or_none(header.get("correlation")),
             float(header.get("unresolved_mm", 0.0)),
         )
-        return DigitalCopy(
+        copy = DigitalCopy(
             field,
             np.stack([relief["nx"], relief["ny"]], axis=-1).astype(np.float32),
             Relief(
@@ -159,6 +161,37 @@ def read_copy(path: Path) -> DigitalCopy:
         raise CopyError(f"{path}: {error}") from None
     except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
         raise CopyError(f"{path / COPY_FILE}: {type(error).__name__} at {error}") from None
+    wrong = [name for name, sound in _soundness(copy).items() if not sound]
+    if wrong:
+        rows, cols = field.shape
+        raise CopyError(
+            f"{path / COPY_FILE}: {', '.join(wrong)} cannot be that of a copy of {cols} × {rows} "
+            "texels"
+        )
+    return copy
+
+
+def _soundness(copy: DigitalCopy) -> dict[str, bool]:
+    """Whether what ``copy.json`` says can be, where nothing else checks it."""
+    field, relief, boxes = copy.height_field, copy.relief, copy.relief.boxes
+    proposed = relief.proposed_delta0_mm
+    ends = boxes.corner.astype(np.int64) + boxes.size
+    return {
+        "origin_mm": bool(np.isfinite(field.origin_mm).all()),
+        "rt_cam_canvas": field.rt_cam_canvas.shape == (6,)
+        and bool(np.isfinite(field.rt_cam_canvas).all()),
+        "unresolved_mm": 0 <= field.unresolved_mm < np.inf,
+        "delta0_mm": bool(np.isfinite(relief.delta0_mm)),
+        "proposed_delta0_mm": proposed is None
+        or (isinstance(proposed, int | float) and bool(np.isfinite(proposed))),
+        "cell": relief.cell > 0,
+        "boxes": boxes.h_max.ndim == 1
+        and bool(np.isfinite(boxes.h_max).all())
+        and bool((boxes.corner >= 0).all() and (boxes.size > 0).all())
+        and bool((ends <= field.shape).all())
+        and bool((boxes.peak >= 0).all() and (boxes.peak < field.shape).all()),
+        "provenance": isinstance(copy.provenance, dict),
+    }
 
 
 def _header(copy: DigitalCopy) -> dict[str, Any]:
@@ -199,7 +232,7 @@ def _read_header(path: Path) -> dict[str, Any]:
         header = json.loads(path.read_text())
     except FileNotFoundError:
         raise CopyError(f"{path} is missing: this is not a digital copy") from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise CopyError(f"{path}: not JSON ({error})") from None
     found = header.get("format") if isinstance(header, dict) else None
     if found != FORMAT:
@@ -216,7 +249,7 @@ def _write_reflectance(folder: Path, maps: ReflectanceMaps) -> None:
                 f"{_LARGEST_HALF:g}: radiance is to be relative to a white reference"
             )
         array = array.astype(np.float16)
-        _write_exr(folder / f"{name}.exr", {c: array[..., i] for i, c in enumerate(channels)})
+        write_exr(folder / f"{name}.exr", {c: array[..., i] for i, c in enumerate(channels)})
     if maps.quality is None:
         return
     layers: dict[str, NDArray[Any]] = {}
@@ -227,7 +260,7 @@ def _write_reflectance(folder: Path, maps: ReflectanceMaps) -> None:
         stored = np.minimum(array, limit).astype(np.uint32 if whole else np.float16)
         stored = stored.reshape(*array.shape[:2], -1)
         layers |= {channel: stored[..., i] for i, channel in enumerate(_QUALITY[name])}
-    _write_exr(folder / _QUALITY_FILE, layers)
+    write_exr(folder / _QUALITY_FILE, layers)
 
 
 def _write_microfacets(path: Path, maps: MicrofacetMaps) -> None:
@@ -237,7 +270,7 @@ def _write_microfacets(path: Path, maps: MicrofacetMaps) -> None:
         for i, channel in enumerate("RGB")
     }
     layers |= {name: getattr(maps, name).astype(np.float16) for name in ("alpha", "error")}
-    _write_exr(path, layers)
+    write_exr(path, layers)
 
 
 def _read_reflectance(path: Path, header: dict[str, Any]) -> ReflectanceMaps:
@@ -259,13 +292,6 @@ def _read_quality(path: Path) -> ReflectanceQuality:
         stacked = np.stack([layers[channel] for channel in channels], axis=-1).astype(kind)
         maps[name] = stacked if len(channels) > 1 else stacked[..., 0]
     return ReflectanceQuality(**maps)
-
-
-def _write_exr(path: Path, channels: dict[str, NDArray[Any]]) -> None:
-    # ZIP compression: a flipped bit fails its checksum instead of passing for a height.
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    layers = {name: np.ascontiguousarray(values) for name, values in channels.items()}
-    OpenEXR.File(header, layers).write(str(path))
 
 
 def _read_exr(path: Path, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import OpenEXR
 from numpy.typing import NDArray
 
-from acquisition.atomic_files import file_in_progress, folder_in_progress
+from acquisition.atomic_files import file_in_progress, folder_in_progress, write_bytes
+from fitting.exr_files import write_exr
 from render.errors import RenderError
 from render.painter import RenderedImage
 from render.painting_node import Mode
@@ -25,19 +25,18 @@ def write_picture(picture: RenderedImage, path: Path, *, exposure: float = 1.0) 
     ------
     RenderError
         Another suffix than .png and .exr, or no folder to write into.
+    OSError
+        The disk is full, for one.
     """
     path = Path(path)
     check_picture_path(path)
     if path.suffix.lower() == ".png":
-        with file_in_progress(path) as temporary:
-            _write_png(temporary, picture.encoded(exposure=exposure))
+        write_bytes(path, _png(picture.encoded(exposure=exposure)))
     else:
         channels = {name: picture.radiance[..., i] for i, name in enumerate("RGB")}
         channels |= {"A": picture.coverage, "Z": picture.depth_mm}
-        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
         with file_in_progress(path) as temporary:
-            layers = {name: np.ascontiguousarray(layer) for name, layer in channels.items()}
-            OpenEXR.File(header, layers).write(str(temporary))
+            write_exr(temporary, channels)
 
 
 def check_picture_path(path: Path) -> None:
@@ -122,10 +121,12 @@ def write_contact_sheet(
         cv2.putText(
             sheet, label, (margin + c * (width + 4) + 6, 19), font, 0.5, ink, 1, cv2.LINE_AA
         )
-    with file_in_progress(Path(path)) as temporary:
-        _write_png(temporary, sheet)
+    write_bytes(Path(path), _png(sheet))
 
 
-def _write_png(path: Path, image: NDArray[np.uint8]) -> None:
-    if not cv2.imwrite(str(path), np.ascontiguousarray(image[..., ::-1])):
-        raise RenderError(f"{path.parent}: the picture cannot be written")
+def _png(image: NDArray[np.uint8]) -> bytes:
+    # Not to a file: OpenCV does not say that a disk was full when the file was closed.
+    done, encoded = cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]))
+    if not done:
+        raise RenderError(f"a picture of {image.shape[1]}×{image.shape[0]} makes no PNG")
+    return encoded.tobytes()

@@ -23,10 +23,13 @@ class VideoFile:
     ----------
     path : Path
         Its suffix is that of the codec there is.
+    frames : int
+        Pictures that it has.
     """
 
     def __init__(self, path: Path, writer: cv2.VideoWriter, size: tuple[int, int]) -> None:
         self.path = path
+        self.frames = 0
         self._writer = writer
         self._size = size
 
@@ -36,6 +39,7 @@ class VideoFile:
         if picture.shape[0] < height or picture.shape[1] < width:
             raise RenderError(f"{self.path}: pictures of one size make a video")
         self._writer.write(np.ascontiguousarray(picture[:height, :width, ::-1]))
+        self.frames += 1
 
 
 @contextmanager
@@ -57,7 +61,8 @@ def video_file(
     Raises
     ------
     RenderError
-        This OpenCV encodes neither MPEG-4 nor Motion JPEG.
+        This OpenCV encodes neither MPEG-4 nor Motion JPEG, or the file does not hold every picture
+        in the end.
     """
     size = (max(width // 2 * 2, 2), max(height // 2 * 2, 2))
     for suffix, codec in _CODECS:
@@ -68,9 +73,22 @@ def video_file(
         path.unlink(missing_ok=True)
     else:
         raise RenderError("this OpenCV can write no video; leave out --video and join the frames")
+    film = VideoFile(path, writer, size)
     try:
-        yield VideoFile(path, writer, size)
+        yield film
     finally:
         writer.release()
-    if not path.stat().st_size:
-        raise RenderError(f"{path}: the video could not be written; is the disk full?")
+    # OpenCV does not say that a disk was full.
+    found = _frames_of(path)
+    if found != film.frames:
+        raise RenderError(
+            f"{path.name}: the video holds {found} of {film.frames} pictures; is the disk full?"
+        )
+
+
+def _frames_of(path: Path) -> int:
+    reader = cv2.VideoCapture(str(path))
+    try:
+        return int(reader.get(cv2.CAP_PROP_FRAME_COUNT))
+    finally:
+        reader.release()

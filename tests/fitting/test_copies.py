@@ -6,6 +6,7 @@ import json
 import numpy as np
 import OpenEXR
 import pytest
+from full_disk import largest_file
 from synthetic_copy import make_copy, strokes
 
 from fitting.copy_files import read_copy, write_copy
@@ -132,6 +133,51 @@ def test_damaged_copies_are_refused_by_name(copy, tmp_path, damage, message):
     damage(tmp_path / "copy")
     with pytest.raises(CopyError, match=message):
         read_copy(tmp_path / "copy")
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("delta0_mm", float("nan")),
+        ("proposed_delta0_mm", "high"),
+        ("origin_mm", [0.0, float("inf")]),
+        ("rt_cam_canvas", [0.0, 0.0]),
+        ("unresolved_mm", -1.0),
+        ("cell", 0),
+        ("provenance", "a museum"),
+        ("corner", [[2**31 - 1, 0]]),
+        ("size", [[0, 5]]),
+        ("peak", [[5, 160]]),
+        ("h_max", [float("nan")]),
+    ],
+)
+def test_numbers_that_no_copy_can_have_are_refused_by_name(copy, tmp_path, name, value):
+    write_copy(copy, tmp_path / "copy")
+    header = json.loads((tmp_path / "copy" / "copy.json").read_text())
+    if name in header["boxes"]:
+        header["boxes"][name][: len(value)] = value
+        name = "boxes"
+    else:
+        header[name] = value
+    (tmp_path / "copy" / "copy.json").write_text(json.dumps(header))
+    with pytest.raises(CopyError, match=f"{name} cannot be that of a copy of 160 × 120 texels"):
+        read_copy(tmp_path / "copy")
+
+
+def test_a_header_without_end_is_no_copy(tmp_path):
+    (tmp_path / "copy.json").write_text("[" * 100_000)
+    with pytest.raises(CopyError, match="not JSON"):
+        read_copy(tmp_path)
+
+
+@pytest.mark.parametrize("missing", [1, 20_000])
+def test_a_disk_that_is_full_leaves_no_copy(copy, tmp_path, missing):
+    write_copy(copy, tmp_path / "copy")
+    largest = max(file.stat().st_size for file in (tmp_path / "copy").iterdir())
+    refused = pytest.raises(OSError, match=r"exr.*is the disk full")
+    with refused, largest_file(largest - missing):
+        write_copy(copy, tmp_path / "second")
+    assert [file.name for file in tmp_path.iterdir()] == ["copy"]
 
 
 def test_height_fields_refuse_what_is_no_height(copy):

@@ -3,6 +3,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from full_disk import largest_file
 from synthetic_copy import make_copy, strokes
 
 from render.errors import RenderError
@@ -158,3 +159,19 @@ def test_a_video_holds_its_pictures_and_no_other_codec_is_an_error(tmp_path, mon
     with refused, video_file(tmp_path, "other", width=80, height=50, fps=24):
         pass
     assert [file.name for file in tmp_path.iterdir()] == [film.path.name]
+
+
+def test_a_video_that_the_disk_has_no_room_for_is_an_error(tmp_path):
+    random = np.random.default_rng(0)
+    pictures = random.integers(0, 255, (5, 60, 80, 3)).astype(np.uint8)
+
+    def film(name):
+        with video_file(tmp_path, name, width=80, height=60, fps=24) as made:
+            for picture in pictures:
+                made.add(picture)
+        return made.path
+
+    whole = film("whole").stat().st_size
+    refused = pytest.raises(RenderError, match="of 5 pictures; is the disk full")
+    with refused, largest_file(whole - 100):
+        film("cut")

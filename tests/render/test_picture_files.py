@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import OpenEXR
 import pytest
+from full_disk import largest_file
 
 from render.errors import RenderError
 from render.painter import RenderedImage
@@ -45,6 +46,21 @@ def test_places_that_cannot_be_written_are_named(tmp_path):
         write_picture(picture(), tmp_path / "p.tiff")
     with pytest.raises(RenderError, match="there is no folder"):
         write_picture(picture(), tmp_path / "none" / "p.png")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("suffix", ["png", "exr"])
+@pytest.mark.parametrize("missing", [1, 200])
+def test_a_disk_that_is_full_leaves_no_picture(tmp_path, suffix, missing):
+    noise = np.random.default_rng(0).random((40, 50, 3)).astype(np.float32)
+    shown = RenderedImage(noise, noise[..., 0], noise[..., 1])
+    file = tmp_path / f"p.{suffix}"
+    write_picture(shown, file)
+    whole = file.stat().st_size
+    file.unlink()
+    refused = pytest.raises(OSError, match=r"too large|disk full")
+    with refused, largest_file(whole - missing):
+        write_picture(shown, file)
     assert not list(tmp_path.iterdir())
 
 
