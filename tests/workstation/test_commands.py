@@ -141,7 +141,6 @@ files = ["a.png", "b.png", "c.png"]
     ("sign", "stage"),
     [
         (signal.SIGTERM, "scanning"),
-        (signal.SIGINT, "fitting the reflectance"),
         (signal.SIGINT, "rendering six views"),
     ],
 )

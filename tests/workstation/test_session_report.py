@@ -6,11 +6,11 @@ import shutil
 import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from impasto_command import impasto
 from synthetic_copy import make_copy
 
 from acquisition.session import Session
@@ -141,19 +141,12 @@ def test_a_copy_alone_has_a_page_too(tmp_path):
 
 
 def test_the_command_writes_page_and_figures(copy, tmp_path):
-    command = [".venv/bin/impasto", "report", str(copy), "--out", str(tmp_path / "r.html")]
-    root = Path(__file__).parents[2]
-    done = subprocess.run(
-        [*command, "--json", str(tmp_path / "f.json")], cwd=root, capture_output=True, text=True
-    )
+    page, figures = tmp_path / "r.html", tmp_path / "f.json"
+    done = impasto("report", copy, "--out", page, "--json", figures)
     assert done.returncode == 0, done.stderr
-    assert json.loads((tmp_path / "f.json").read_text())["errors"] == ERRORS
-    missing = subprocess.run(
-        [*command[:-1], str(tmp_path / "nowhere" / "r.html")],
-        cwd=root,
-        capture_output=True,
-        text=True,
-    )
+    assert page.is_file()
+    assert json.loads(figures.read_text())["errors"] == ERRORS
+    missing = impasto("report", copy, "--out", tmp_path / "nowhere" / "r.html")
     assert missing.returncode == 3
     assert "make it first" in missing.stderr
 
