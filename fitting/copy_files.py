@@ -230,7 +230,7 @@ def _array_or_none(values: Any) -> NDArray[np.float64] | None:
 def _read_header(path: Path) -> dict[str, Any]:
     try:
         header = json.loads(path.read_text())
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         raise CopyError(f"{path} is missing: this is not a digital copy") from None
     except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise CopyError(f"{path}: not JSON ({error})") from None

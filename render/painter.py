@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from dataclasses import dataclass
 
@@ -21,6 +22,9 @@ from render.shader_program import Shown
 from render.views import View, direction
 
 BACKGROUND = (0.18, 0.18, 0.18)
+# Colour and depth in OpenGL without a graphics card, and twice more while they are read.
+_BYTES_PER_SAMPLE = 80
+_MEMORY_SHARE = 0.8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -308,6 +312,13 @@ class Painter:
             raise RenderError(
                 f"a picture of {width}×{height} cannot be drawn; this OpenGL draws up to "
                 f"{largest}×{largest} at {self._supersampling}×{self._supersampling} samples"
+            )
+        needed = width * height * self._supersampling**2 * _BYTES_PER_SAMPLE
+        there = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+        if needed > _MEMORY_SHARE * there:
+            raise RenderError(
+                f"a picture of {width}×{height} cannot be drawn: it takes about "
+                f"{needed / 1e9:.0f} GB of memory, and this machine has {there / 1e9:.0f} GB"
             )
 
     def _kept_mesh(

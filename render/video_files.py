@@ -61,10 +61,12 @@ def video_file(
     Raises
     ------
     RenderError
-        This OpenCV encodes neither MPEG-4 nor Motion JPEG, or the file does not hold every picture
-        in the end.
+        Pictures smaller than 2×2, an OpenCV that encodes neither MPEG-4 nor Motion JPEG, or a file
+        that does not hold every picture in the end; it is removed.
     """
-    size = (max(width // 2 * 2, 2), max(height // 2 * 2, 2))
+    size = (width // 2 * 2, height // 2 * 2)
+    if min(size) < 2:
+        raise RenderError(f"a video has pictures of at least 2×2, not {width}×{height}")
     for suffix, codec in _CODECS:
         path = folder / f"{stem}{suffix}"
         writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), fps, size)
@@ -81,6 +83,7 @@ def video_file(
     # OpenCV does not say that a disk was full.
     found = _frames_of(path)
     if found != film.frames:
+        path.unlink()
         raise RenderError(
             f"{path.name}: the video holds {found} of {film.frames} pictures; is the disk full?"
         )

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from render.bounded import BUDGET_PX
+from render.errors import RenderError
 from render.painter import Light
 from render.painting_node import Mode
 
@@ -30,6 +31,11 @@ class ViewerState:
     exposure : float
     caption : bool
         Whether all this is written on the picture.
+
+    Raises
+    ------
+    RenderError
+        An exposure that is not positive, or a budget that is not.
     """
 
     mode: Mode = Mode.BOUNDED
@@ -38,6 +44,12 @@ class ViewerState:
     shadows: bool = False
     exposure: float = 1.0
     caption: bool = True
+
+    def __post_init__(self) -> None:
+        if not 0 < self.exposure < np.inf:
+            raise RenderError(f"an exposure is a positive factor, not {self.exposure}")
+        if not 0 < self.budget_px < np.inf:
+            raise RenderError(f"the error budget must be positive, not {self.budget_px} px")
 
     def describe(self) -> str:
         """In one line."""

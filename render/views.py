@@ -56,12 +56,12 @@ class View:
     field_of_view: float = float(np.deg2rad(35.0))
 
     def __post_init__(self) -> None:
+        if not 0 < self.field_of_view < np.pi:
+            raise RenderError("the field of view lies between 0° and 180°")
         if not (np.isfinite(self.distance_mm) and self.distance_mm > 0):
             raise RenderError(f"the camera's distance must be positive, not {self.distance_mm} mm")
         if not (np.isfinite(self.azimuth) and abs(self.elevation) <= np.pi / 2 + 1e-9):
             raise RenderError("elevations run from -90° to 90°")
-        if not 0 < self.field_of_view < np.pi:
-            raise RenderError("the field of view lies between 0° and 180°")
 
     @property
     def position(self) -> NDArray[np.float64]:

@@ -164,10 +164,12 @@ def test_numbers_that_no_copy_can_have_are_refused_by_name(copy, tmp_path, name,
         read_copy(tmp_path / "copy")
 
 
-def test_a_header_without_end_is_no_copy(tmp_path):
+def test_a_header_without_end_is_no_copy_and_a_file_neither(tmp_path):
     (tmp_path / "copy.json").write_text("[" * 100_000)
     with pytest.raises(CopyError, match="not JSON"):
         read_copy(tmp_path)
+    with pytest.raises(CopyError, match="not a digital copy"):
+        read_copy(tmp_path / "copy.json")
 
 
 @pytest.mark.parametrize("missing", [1, 20_000])

@@ -14,6 +14,7 @@ from render.surface_shapes import bounds
 from render.video_files import video_file
 
 SIZE = {"width": 192, "height": 108}
+DOT = {"width": 1, "height": 9, "fps": 24}
 
 
 @pytest.fixture(scope="module")
@@ -175,3 +176,6 @@ def test_a_video_that_the_disk_has_no_room_for_is_an_error(tmp_path):
     refused = pytest.raises(RenderError, match="of 5 pictures; is the disk full")
     with refused, largest_file(whole - 100):
         film("cut")
+    with pytest.raises(RenderError, match="at least 2×2"), video_file(tmp_path, "dot", **DOT):
+        pass
+    assert [file.name for file in tmp_path.iterdir()] == ["whole.mp4"]

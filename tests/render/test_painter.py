@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 
 import numpy as np
 import pytest
@@ -256,3 +257,14 @@ def test_lights_and_sizes_that_make_no_sense_are_refused(painter, copy):
     for width, height in ((0, 10), (10, 10**6)):
         with pytest.raises(RenderError, match="cannot be drawn"):
             painter.paint(copy, view, width=width, height=height)
+
+
+def test_a_picture_that_memory_cannot_hold_is_refused(painter, copy, monkeypatch):
+    real = os.sysconf
+    pages = 2**30 // real("SC_PAGE_SIZE")
+    monkeypatch.setattr(
+        os, "sysconf", lambda name: pages if name == "SC_PHYS_PAGES" else real(name)
+    )
+    view = named_view(copy, NamedView.FAR_FRONT, aspect=1.0)
+    with pytest.raises(RenderError, match=r"4096×4096 cannot be drawn: .* 1 GB of memory.* 1 GB"):
+        painter.paint(copy, view, width=4096, height=4096)

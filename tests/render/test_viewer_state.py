@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -64,3 +65,9 @@ def test_a_process_that_drew_into_memory_opens_no_window():
     assert "OpenGL" in sys.modules
     with pytest.raises(RenderError, match="one of its own"):
         draw_in_windows()
+
+
+@pytest.mark.parametrize("wrong", [{"exposure": 0.0}, {"exposure": np.nan}, {"budget_px": -1.0}])
+def test_a_window_that_would_show_nothing_is_refused(wrong):
+    with pytest.raises(RenderError, match="positive"):
+        replace(STATE, **wrong)

@@ -1,16 +1,20 @@
 from __future__ import annotations
 
+from itertools import pairwise
+
+import numpy as np
 import pytest
+from synthetic_copy import make_copy, strokes
 
 from render.painting_node import Mode
-from render.views import NamedView
+from render.views import NamedView, View
 from workstation.benchmarks.picture_differences import Difference
 from workstation.benchmarks.render import bench
 from workstation.benchmarks.render_bounds import bounded_records, exact_records, time_records
 from workstation.benchmarks.render_budget import halving_record
 from workstation.benchmarks.render_cases import Case, Work, time_ratio
-from workstation.benchmarks.render_path import Popping
-from workstation.benchmarks.render_scenes import OIL, SIZES
+from workstation.benchmarks.render_path import Popping, switches
+from workstation.benchmarks.render_scenes import OIL, SIZES, RenderedScene
 from workstation.benchmarks.render_tables import table_1
 
 MS = {
@@ -81,6 +85,18 @@ def test_one_popping_frame_or_switch_is_enough_to_fail():
     assert not frame.holds
     assert adaptive.value == 0.01
     assert switch.holds
+
+
+def test_every_switch_between_two_frames_is_found():
+    scene = RenderedScene("strokes", make_copy(0.6 * strokes()))
+    views = [View(np.deg2rad(-90), np.deg2rad(80 - 60 * n), 3000 * 0.02**n) for n in range(2)]
+    found = list(switches(scene, views))
+    assert len(found) > 3
+    for (before, _), (after, _) in pairwise(found):
+        assert before.split(" to ")[1] == after.split(" to ")[0]
+    for what, (first, last) in found:
+        assert len(set(what.split(" to "))) == 2
+        assert last.distance_mm == pytest.approx(first.distance_mm, rel=1e-4)
 
 
 def test_parts_that_are_not_there_are_refused():

@@ -1,7 +1,9 @@
 """Every mode seen from the six views: what it costs, and how far it is from its reference.
 
-Times are processor time of the painting pass, so that other work on the machine counts little. The
-modes take turns, and ratios are of the same turn: what load there is hits all of them alike.
+Times are processor time of the painting pass, so that other work on the machine counts little. Bump
+mapping, relief mapping and the bounded mode take turns, and ratios between them are of the same
+turn: what load there is hits all of them alike. The other modes take turns of their own after them,
+and their ratios to those three are of one turn over another.
 """
 
 from __future__ import annotations
@@ -177,7 +179,7 @@ def _taken(
 
 
 def time_ratio(one: Case, other: Case) -> float:
-    """Median over the turns that both had of the one's time over the other's."""
+    """Median over the turns that both had, in their order, of the one's time over the other's."""
     turns = zip(one.pass_ms, other.pass_ms, strict=False)
     return median(mine / theirs for mine, theirs in turns)
 

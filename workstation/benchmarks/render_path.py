@@ -7,7 +7,7 @@ mode switches, the camera is moved by so little that nothing else changes.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -98,20 +98,20 @@ def measure_popping(scene: RenderedScene) -> Popping:
             for mode in _MODES:
                 excess[mode].append(float(moved[mode] - moved["reference"]))
         before = now
-    switches = []
-    for what, pair in _switches(scene, views):
+    changes = []
+    for what, pair in switches(scene, views):
         pictures = [_shown(painters[Mode.BOUNDED], scene, view, Mode.BOUNDED) for view in pair]
-        switches.append((what, float(flip_map(*pictures).mean())))
+        changes.append((what, float(flip_map(*pictures).mean())))
     for painter in painters.values():
         painter.close()
-    return Popping(excess, switches)
+    return Popping(excess, changes)
 
 
 def _shown(painter: Painter, scene: RenderedScene, view: View, mode: Mode) -> NDArray[np.float32]:
     return encode(painter.paint(scene.copy, view, mode=mode, width=_WIDTH, height=_HEIGHT).radiance)
 
 
-def _switches(scene: RenderedScene, views: list[View]) -> Iterator[tuple[str, tuple[View, View]]]:
+def switches(scene: RenderedScene, views: list[View]) -> Iterator[tuple[str, tuple[View, View]]]:
     """Views just before and just after each change of what the bounded mode does."""
     levels = PaintingMaterial(scene.copy).height_levels
     shape = SurfaceShape.of(scene.copy.height_field, levels)
@@ -121,22 +121,29 @@ def _switches(scene: RenderedScene, views: list[View]) -> Iterator[tuple[str, tu
         return _way(shape.needs(view.position, pixel_angle, BUDGET_PX))
 
     for one, other in pairwise(views):
-        first, last = one, other
-        if way(first) == way(last):
-            continue
-        for _ in range(_HALVINGS):
-            middle = replace(
-                first,
-                azimuth=0.5 * (first.azimuth + last.azimuth),
-                elevation=0.5 * (first.elevation + last.elevation),
-                distance_mm=0.5 * (first.distance_mm + last.distance_mm),
-            )
-            if way(middle) == way(one):
-                first = middle
-            else:
-                last = middle
-        what = " to ".join(" ".join(str(part) for part in way(view)) for view in (first, last))
-        yield what, (first, last)
+        # There may be several changes between two frames.
+        while way(one) != way(other):
+            first, last = _change(way, one, other)
+            what = " to ".join(" ".join(str(part) for part in way(view)) for view in (first, last))
+            yield what, (first, last)
+            one = last
+
+
+def _change(way: Callable[[View], tuple[object, ...]], one: View, other: View) -> tuple[View, View]:
+    """Views just before and just after a change from what is done at the one."""
+    first, last = one, other
+    for _ in range(_HALVINGS):
+        middle = replace(
+            first,
+            azimuth=0.5 * (first.azimuth + last.azimuth),
+            elevation=0.5 * (first.elevation + last.elevation),
+            distance_mm=0.5 * (first.distance_mm + last.distance_mm),
+        )
+        if way(middle) == way(one):
+            first = middle
+        else:
+            last = middle
+    return first, last
 
 
 def _way(needs: ViewNeeds) -> tuple[object, ...]:
