@@ -82,6 +82,7 @@ def fit_maps(
     sampler: PhotographSampler,
     *,
     options: MapOptions | None = None,
+    surveyed: PhotographSampler | None = None,
     guarded: Callable[[], AbstractContextManager[None]] = nullcontext,
     advance: Callable[[float], None] = lambda share: None,
 ) -> FittedReflectance:
@@ -94,6 +95,9 @@ def fit_maps(
     ----------
     sampler : PhotographSampler
     options : MapOptions, optional
+    surveyed : PhotographSampler, optional
+        Takes the samples that materials are learned from: of fewer of many photographs of the same
+        copy, since that takes the most time. By default ``sampler`` does.
     guarded : callable, optional
         Makes the context in which each tile is worked on, to hold interruptions off.
     advance : callable, optional
@@ -110,7 +114,7 @@ def fit_maps(
     """
     options = options or MapOptions()
     with guarded():
-        palette, spread = _survey(sampler, options)
+        palette, spread = _survey(surveyed or sampler, options)
     mask = sampler.copy.height_field.mask
     maps = _empty_maps(mask.shape)
     normal_xy, slope_sigma = sampler.copy.normal_xy.copy(), sampler.copy.slope_sigma.copy()

@@ -63,6 +63,24 @@ def fitted():
     return truth, terrain, bare, fit_maps(sampler, options=OPTIONS)
 
 
+def test_materials_are_learned_from_the_photographs_that_are_surveyed():
+    truth = painted(24, 32)
+    terrain = Terrain.of(truth.height_field)
+    taken = photographs_of(truth, terrain, EYES[:2], LAMPS[::2])
+    bare = dataclasses.replace(truth, reflectance=None)
+    every, some = (PhotographSampler(bare, some, terrain) for some in (taken, taken[::2]))
+    clusters = ClusterOptions(most=1, survey=120, per_material=60, fewest=60)
+    options = MapOptions(clusters=clusters, refine_normals=False)
+    found = fit_maps(every, options=options, surveyed=some)
+    alone = fit_maps(some, options=options)
+    assert found.palette.colour_unit == alone.palette.colour_unit
+    for own, other in zip(found.palette.materials, alone.palette.materials, strict=True):
+        assert np.array_equal(own.shape_mean, other.shape_mean)
+    # All the same, texels are fitted to all photographs.
+    assert found.maps.quality.samples.max() == len(taken)
+    assert alone.maps.quality.samples.max() == len(taken) // 2
+
+
 def inner(copy):
     area = np.zeros(copy.height_field.shape, bool)
     area[4:-4, 4:-4] = True
