@@ -211,7 +211,7 @@ class PhotographSampler:
             pixels - np.array(photograph.first_pixel, np.float64),
             np.abs(across).sum(axis=2),
             view.astype(np.float32),
-            visible & np.isfinite(pixels).all(axis=1),
+            visible & np.isfinite(pixels).all(axis=1) & np.isfinite(across).all(axis=(1, 2)),
             margin,
         )
 
@@ -233,10 +233,14 @@ class PhotographSampler:
         pose = photograph.rt_cam_canvas
         _, gradient = photograph.lens.project_with_gradient(transform(pose, points))
         across = gradient @ (rotation(pose) @ self._edges(flat))
-        size = float(np.median(np.sqrt(np.abs(np.linalg.det(across)))))
-        if not size > 0.0:
-            return 0
-        return min(math.ceil(self.options.penumbra_px / size - 1e-9), _WIDEST_MARGIN)
+        # Where the camera's own plane meets the canvas there is no size.
+        across = across[np.isfinite(across).all(axis=(1, 2))]
+        sizes = np.sqrt(np.abs(np.linalg.det(across)))
+        sizes = sizes[np.isfinite(sizes) & (sizes > 0.0)]
+        if sizes.size == 0:
+            return 0  # nothing of the canvas is in the photograph
+        margin = math.ceil(self.options.penumbra_px / float(np.median(sizes)) - 1e-9)
+        return min(margin, _WIDEST_MARGIN)
 
     def _surface(self, tile: Tile) -> tuple[Floats, Floats]:
         """Points and unit normals (rows, cols, 3) of a tile's texels in the canvas frame."""

@@ -7,6 +7,7 @@ lamps and a distant camera are lamps and cameras like others, so all else is the
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryFile
 
@@ -27,11 +28,35 @@ from fitting.relief import Relief, ReliefBoxes
 Singles = NDArray[np.float32]
 
 _FAR_MM = 1e7
-# Variance of 8- and 16-bit pictures: of rounding, and of photons at some 20 000 per full scale.
+# Variance of pictures: of rounding, and of photons at some 20 000 per full scale.
 _PHOTONS = 5e-5
+_BLACK_SIGMA = 2e-4  # of what is black, full scale being 1
 # Full scale, and the standard error of what is black.
-_WHOLE_NUMBERS = {np.dtype(np.uint8): (255.0, 1 / 255), np.dtype(np.uint16): (65535.0, 2e-4)}
+_WHOLE_NUMBERS = {
+    np.dtype(np.uint8): (255.0, 1 / 255),
+    np.dtype(np.uint16): (65535.0, _BLACK_SIGMA),
+}
+# Pictures of floating point have no full scale: it is where the brightest of them is white.
+_WHITE_PERCENTILE = 99.9
 _SLOPE_SIGMA = 0.2  # of a relief that nobody measured
+
+
+@dataclass(frozen=True)
+class _Picture:
+    """Linear RGB, NaN where a channel is saturated.
+
+    Attributes
+    ----------
+    radiance : (rows, cols, 3) array
+    variance : array of that shape, or None
+        None of floating point: it goes by the scale of all pictures.
+    grey : bool
+        Whether the three channels are one.
+    """
+
+    radiance: Singles
+    variance: Singles | None
+    grey: bool
 
 
 def read_light_only(
@@ -66,21 +91,34 @@ def read_light_only(
     first: tuple[int, ...] = ()
     with TemporaryFile(prefix="impasto-pictures-") as file:
         pictures = ScratchPictures(file)
-        for name in lights.pictures:
-            radiance, variance = _read_picture(path.parent / name, linear=linear)
-            first = first or radiance.shape
-            if radiance.shape != first:
+        planes: list[tuple[int, int]] = []
+        floating: dict[int, bool] = {}
+        white = 0.0
+        for number, name in enumerate(lights.pictures):
+            picture = _read_picture(path.parent / name, linear=linear)
+            shape = picture.radiance.shape
+            first = first or shape
+            if shape != first:
                 raise FittingError(
-                    f"{path.parent / name} has {radiance.shape[1]} × {radiance.shape[0]} pixels, "
+                    f"{path.parent / name} has {shape[1]} × {shape[0]} pixels, "
                     f"the first picture {first[1]} × {first[0]}: they must show the same"
                 )
-            pictures.append(radiance)
-            pictures.append(variance)
-        planes = pictures.mapped()
+            own = pictures.append(picture.radiance)
+            if picture.variance is not None:
+                planes.append((own, pictures.append(picture.variance)))
+            else:
+                planes.append((own, own))
+                floating[number] = picture.grey
+                white = max(white, _white_of(picture.radiance))
+        for number, grey in floating.items():
+            own = planes[number][0]
+            variance = _variance_of_floating(pictures.mapped()[own], white, grey=grey)
+            planes[number] = (own, pictures.append(variance))
+        every = pictures.mapped()
     photographs = [
-        _distant(name, planes[2 * number], planes[2 * number + 1], direction, pitch_mm)
-        for number, (name, direction) in enumerate(
-            zip(lights.pictures, lights.directions, strict=True)
+        _distant(name, every[own], every[noise], direction, pitch_mm)
+        for name, (own, noise), direction in zip(
+            lights.pictures, planes, lights.directions, strict=True
         )
     ]
     return _flat_copy(first[0], first[1], pitch_mm), photographs
@@ -105,8 +143,8 @@ def _distant(
     )
 
 
-def _read_picture(path: Path, *, linear: bool) -> tuple[Singles, Singles]:
-    """Linear RGB, NaN where a channel is saturated, and its variance.
+def _read_picture(path: Path, *, linear: bool) -> _Picture:
+    """A picture and its variance.
 
     Grey pictures have three equal channels, whose variance is tripled: together they say no more
     than one.
@@ -119,12 +157,13 @@ def _read_picture(path: Path, *, linear: bool) -> tuple[Singles, Singles]:
         picture = np.repeat(picture[..., np.newaxis], 3, axis=2)
     picture = picture[..., 2::-1]
     if picture.dtype == np.float32:
-        radiance, sigma, full = picture.astype(np.float32), 2e-4, np.inf
-    elif picture.dtype in _WHOLE_NUMBERS:
-        full, sigma = _WHOLE_NUMBERS[picture.dtype]
-        radiance = picture.astype(np.float32) / np.float32(full)
-    else:
+        radiance = picture.astype(np.float32)
+        radiance[~np.isfinite(radiance).all(axis=2)] = np.nan
+        return _Picture(radiance, None, grey)
+    if picture.dtype not in _WHOLE_NUMBERS:
         raise FittingError(f"{path}: pictures of {picture.dtype} are not read")
+    full, sigma = _WHOLE_NUMBERS[picture.dtype]
+    radiance = picture.astype(np.float32) / np.float32(full)
     slope: Singles | float = 1.0
     if picture.dtype == np.uint8 and not linear:
         coded = radiance
@@ -135,9 +174,21 @@ def _read_picture(path: Path, *, linear: bool) -> tuple[Singles, Singles]:
             coded <= 0.04045, 1 / 12.92, 2.4 / 1.055 * ((coded + 0.055) / 1.055) ** 1.4
         ).astype(np.float32)
     variance = (sigma * slope) ** 2 + np.float32(_PHOTONS) * np.maximum(radiance, 0)
-    saturated = (picture >= full).any(axis=2) | ~np.isfinite(radiance).all(axis=2)
-    radiance[saturated] = np.nan
-    return radiance, (3.0 * variance if grey else variance).astype(np.float32)
+    radiance[(picture >= full).any(axis=2)] = np.nan
+    return _Picture(radiance, (3.0 * variance if grey else variance).astype(np.float32), grey)
+
+
+def _white_of(radiance: Singles) -> float:
+    """Radiance that all but the brightest thousandth of a picture stay below."""
+    finite = radiance[np.isfinite(radiance)]
+    return float(np.percentile(finite, _WHITE_PERCENTILE)) if finite.size else 0.0
+
+
+def _variance_of_floating(radiance: Singles, white: float, *, grey: bool) -> Singles:
+    """Variance of what a picture of floating point holds, ``white`` being full scale."""
+    unit = white if white > 0.0 else 1.0
+    variance = (_BLACK_SIGMA * unit) ** 2 + _PHOTONS * unit * np.fmax(radiance, 0.0)
+    return np.asarray(3.0 * variance if grey else variance, np.float32)
 
 
 def _flat_copy(rows: int, cols: int, pitch_mm: float) -> DigitalCopy:

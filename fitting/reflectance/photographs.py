@@ -42,12 +42,13 @@ class Photograph:
     exposure : float
         By which ``radiance`` is divided; 1 for merged brackets, which are per second already.
     flat_field : (rows, cols) float32 array or None
-        What the camera makes of even light: vignetting and the pixels' sensitivity.
+        What the camera makes of even light: vignetting and the pixels' sensitivity; positive.
 
     Raises
     ------
     FittingError
-        Shapes disagree, a mosaic without order, or an exposure or pose that is no number.
+        Shapes disagree, a mosaic without order, a flat field that is not positive, or an exposure
+        or pose that is no number.
     """
 
     name: str
@@ -77,6 +78,14 @@ class Photograph:
         if self.flat_field is not None and self.flat_field.shape != shape[:2]:
             raise FittingError(
                 f"photograph {self.name}: flat field is {self.flat_field.shape}, not {shape[:2]}"
+            )
+        if self.flat_field is not None and not (
+            np.min(self.flat_field) > 0.0 and np.isfinite(np.max(self.flat_field))
+        ):
+            usable = np.isfinite(self.flat_field) & (self.flat_field > 0.0)
+            raise FittingError(
+                f"photograph {self.name}: the flat field is zero, negative or no number in "
+                f"{int(np.sum(~usable))} of {usable.size} pixels: it is divided by"
             )
         pose = np.asarray(self.rt_cam_canvas, dtype=np.float64)
         if pose.shape != (6,) or not np.isfinite(pose).all():

@@ -27,14 +27,18 @@ class ScratchPictures:
         self._shape: tuple[int, ...] = ()
         self._count = 0
 
-    def append(self, picture: NDArray[np.floating]) -> None:
-        """Write one more picture, of the shape of those before."""
+    def append(self, picture: NDArray[np.floating]) -> int:
+        """Write one more picture, of the shape of those before, and return its number."""
         assert self._count == 0 or picture.shape == self._shape  # the callers see to that
         self._file.write(np.ascontiguousarray(picture, np.float32).data)
         self._shape = picture.shape
         self._count += 1
+        return self._count - 1
 
     def mapped(self) -> Singles:
-        """All pictures, (n, ...), read-only; pages are read where they are looked at."""
+        """All pictures, (n, ...), read-only; pages are read where they are looked at.
+
+        More can be appended, and mapped again.
+        """
         self._file.flush()
         return np.memmap(self._file, np.float32, "r", shape=(self._count, *self._shape))

@@ -7,7 +7,7 @@ import pytest
 from photographed_relief import COLS, ROWS, lamp, lens, photograph, pose_looking_at_origin
 from synthetic_copy import make_copy, strokes
 
-from calibration.lens import transform
+from calibration.lens import Lens, transform
 from devices.bayer import BayerPattern
 from fitting.errors import FittingError
 from fitting.reflectance.back_projection import PhotographSampler, SamplingOptions, Tile
@@ -166,6 +166,27 @@ def test_shadows_and_their_edges_are_dropped():
     assert margined.valid.sum() > 0.5 * without.valid.sum()
 
 
+class LensBlindOfOne(Lens):
+    """A lens that says nothing of the first point it is asked for."""
+
+    def project_with_gradient(self, points):
+        pixels, gradient = super().project_with_gradient(points)
+        gradient[0] = np.nan
+        return pixels, gradient
+
+
+def test_one_texel_without_a_size_leaves_the_margin_of_shadows_alone():
+    copy = make_copy(strokes())
+    low = photograph(light=lamp(20, 60))
+    own = low.lens
+    blind = LensBlindOfOne(own.model, own.intrinsics, own.width, own.height)
+    _, clear = sampled(copy, [low], penumbra_px=2.0)
+    _, other = sampled(copy, [dataclasses.replace(low, lens=blind)], penumbra_px=2.0)
+    assert clear.valid.sum() > 1000
+    assert np.array_equal(other.valid[1:], clear.valid[1:])
+    assert not other.valid[0].any()
+
+
 def test_tiles_join_without_a_seam():
     mask = np.ones((120, 160), bool)
     mask[30:50, 60:90] = False
@@ -212,6 +233,11 @@ def test_photographs_that_contradict_themselves_are_refused():
         photograph(mosaic=BayerPattern.RGGB)
     with pytest.raises(FittingError, match="flat field"):
         photograph(flat_field=np.ones((4, 4), np.float32))
+    for wrong in (0.0, -0.5, np.nan, np.inf):
+        flat = np.ones((ROWS, COLS), np.float32)
+        flat[3, 4] = wrong
+        with pytest.raises(FittingError, match="in 1 of 10800 pixels"):
+            photograph(flat_field=flat)
     with pytest.raises(FittingError, match="exposure"):
         photograph(exposure=0.0)
     with pytest.raises(FittingError, match="six finite"):

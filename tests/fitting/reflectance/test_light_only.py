@@ -63,6 +63,28 @@ def test_pictures_lie_on_disk_and_grey_ones_say_no_more_than_one_channel(tmp_pat
             assert own.variance[..., channel] == pytest.approx(3 * other.variance[..., 1])
 
 
+@pytest.mark.parametrize("scale", [1e-4, 1.0, 3e5])
+def test_noise_of_floating_point_goes_by_what_is_white_in_all_pictures(tmp_path, scale):
+    path = write_dome(tmp_path)
+    lines = path.read_text().replace(".png", ".tiff")
+    path.write_text(lines)
+    for number, direction in enumerate(DIRECTIONS):
+        linear = np.ones((12, 20, 1)) * ALBEDO * direction[2]
+        linear[3, 5] = np.nan
+        picture = np.asarray(scale * linear, np.float32)
+        exactly = [cv2.IMWRITE_TIFF_COMPRESSION, 1]
+        cv2.imwrite(str(tmp_path / f"{number}.tiff"), picture[..., ::-1], exactly)
+    _, photographs = read_light_only(path)
+    white = scale * ALBEDO.max()
+    for own, direction in zip(photographs, DIRECTIONS, strict=True):
+        radiance = scale * ALBEDO * direction[2]
+        assert own.radiance[0, 0] == pytest.approx(radiance)
+        assert np.isnan(own.radiance[3, 5]).all()
+        variance = (2e-4 * white) ** 2 + 5e-5 * white * radiance
+        assert own.variance[0, 0] == pytest.approx(variance, rel=1e-5)
+        assert np.isfinite(own.variance).all()
+
+
 def test_pictures_of_different_sizes_or_none_are_refused(tmp_path):
     path = write_dome(tmp_path)
     cv2.imwrite(str(tmp_path / "2.png"), np.zeros((5, 5, 3), np.uint16))
