@@ -36,10 +36,11 @@ def caption_picture(
         draw.rectangle((0, start, width, start + band - 1), fill=_SHADE)
         for number, line in enumerate(lines):
             place = (_PADDING_PX, start + _PADDING_PX // 2 + number * _LINE_PX)
-            draw.text(place, line, font=_font(), fill=_INK)
+            draw.text(place, line, font=font(_SIZE_PX), fill=_INK)
     return np.array(picture)
 
 
 @cache
-def _font() -> ImageFont.FreeTypeFont:
-    return ImageFont.truetype(str(_FONT), _SIZE_PX)
+def font(size_px: int) -> ImageFont.FreeTypeFont:
+    """The font at a size."""
+    return ImageFont.truetype(str(_FONT), size_px)

@@ -13,7 +13,9 @@ from itertools import pairwise
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image, ImageDraw
 
+from render.captions import font
 from render.opengl import pyrender
 
 HEIGHT, DEPTH = 5.0, 6.5
@@ -22,6 +24,7 @@ _TEXTURE = 1024
 _SKIRTING = (0.16, 0.022)  # height and thickness
 _CEILING = (0.30, 0.30, 0.295)
 _WHITE = (0.62, 0.615, 0.60)
+_CARD_LINE = 456  # pixels of a label's 512 that its title may take
 
 
 def room_nodes(borders: NDArray[np.float64], unit: float) -> list[pyrender.Node]:
@@ -65,9 +68,13 @@ def room_nodes(borders: NDArray[np.float64], unit: float) -> list[pyrender.Node]
 
 def label_mesh(title: str, width: float) -> pyrender.Mesh:
     """A card with a title, its lower left corner at the origin, twice as wide as high; mm."""
-    card = np.full((256, 512, 3), 236, np.uint8)
-    text = title if len(title) <= 20 else title[:19] + "..."
-    cv2.putText(card, text, (28, 104), cv2.FONT_HERSHEY_DUPLEX, 1.5, (40,) * 3, 2, cv2.LINE_AA)
+    shown = Image.new("RGB", (512, 256), (236,) * 3)
+    draw, letters = ImageDraw.Draw(shown), font(46)
+    title = " ".join(title.split())
+    while draw.textlength(title, font=letters) > _CARD_LINE:
+        title = title.rstrip(".")[:-1] + "..."
+    draw.text((28, 104), title, font=letters, fill=(40,) * 3, anchor="ls")
+    card = np.array(shown)
     for row, end in ((150, 420), (182, 380), (214, 300)):
         cv2.line(card, (30, row), (end, row), (176,) * 3, 3, cv2.LINE_AA)
     paper = _textured(card, 0.9)

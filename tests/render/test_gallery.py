@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from itertools import pairwise
+
 import cv2
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from synthetic_copy import make_copy, strokes
 
 from render.errors import RenderError
 from render.gallery import Gallery, Hanging
+from render.gallery_room import label_mesh
 from render.gallery_walk import Walk
 from render.picture_frames import FrameFinish, Opening, frame_mesh
 from render.surface_shapes import bounds
@@ -135,6 +138,29 @@ def test_a_deep_relief_stands_proud_of_its_frame(copies):
     (node,) = (node for node in gallery.scene.mesh_nodes if node.name == "deep")
     top = gallery.scene.get_pose(node)[2, 3] + bounds(make_copy(dome))[1][2]
     assert top > 20 + sorted(frames)[0]
+
+
+def card(title):
+    (part,) = label_mesh(title, 40.0).primitives
+    return part.material.baseColorTexture.source[..., :3]
+
+
+def test_labels_hold_any_title():
+    names = [
+        "Müller",
+        "Moller",
+        "M??ller",
+        "Château d'If, at the end of a long day",
+        "",
+        "..." * 40,
+    ]
+    cards = [card(name) for name in names]
+    for one, other in pairwise(cards):
+        assert not np.array_equal(one, other)
+    for shown in cards:
+        # Nothing runs off the card.
+        assert (shown[:, :24] == 236).all()
+        assert (shown[:, 488:] == 236).all()
 
 
 def test_a_gallery_without_copies_is_refused():

@@ -29,7 +29,9 @@ MS = {
 
 
 def case(view, size, mode, *, psnr=60.0, coverage=1, parallax=0.2, flip=0.004):
-    off = Difference(psnr, 0.99, flip, 2 * flip, (0.01, parallax, 2.0), (0.1, 5.0), coverage)
+    off = Difference(
+        psnr, psnr - 9, 0.99, flip, 2 * flip, (0.01, parallax, 2.0), (0.1, 5.0), coverage
+    )
     return Case(OIL, size, str(view), str(mode), MS[mode], 30.0, Work(1, 2), 0, 0, off)
 
 
@@ -52,11 +54,13 @@ def test_the_worst_view_decides():
     found = {record.name: record for record in exact_records(cases(mode=Mode.EXACT, psnr=50.0))}
     assert found["exact.psnr_db_min"].value == 50.0
     assert not found["exact.psnr_db_min"].holds
+    assert "41.0 dB at least" in found["exact.psnr_db_min"].note
     assert found["exact.coverage_px_max"].holds
     found = {record.name: record for record in bounded_records(cases(mode=Mode.BOUNDED, flip=0.02))}
     assert not found["bounded.flip_max"].holds
     assert "far-front 1024x768" in found["bounded.flip_max"].note
     assert found["bounded.parallax_p95_px_max"].holds
+    assert "1 px at most" in found["bounded.parallax_p95_px_max"].note
 
 
 def test_times_are_held_against_bump_mapping_and_the_faster_rival():

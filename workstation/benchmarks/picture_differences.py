@@ -28,8 +28,8 @@ class Difference:
 
     Attributes
     ----------
-    psnr_db : float
-        Of linear radiance over the whole picture, peak 1.
+    psnr_db, psnr_covered_db : float
+        Of linear radiance over the whole picture, peak 1, and where the painting is.
     ssim : float
     flip : float
         Mean over the whole picture.
@@ -44,6 +44,7 @@ class Difference:
     """
 
     psnr_db: float
+    psnr_covered_db: float
     ssim: float
     flip: float
     flip_covered: float
@@ -70,8 +71,10 @@ def difference(
     encoded, wanted = encode(radiance), encode(truth.radiance)
     somewhere = covered | truly
     flip = _flip_where(somewhere, encoded, wanted)
+    squares = (radiance - truth.radiance) ** 2
     return Difference(
-        psnr_db=float(-10 * np.log10(np.mean((radiance - truth.radiance) ** 2))),
+        psnr_db=float(-10 * np.log10(np.mean(squares))),
+        psnr_covered_db=float(-10 * np.log10(np.mean(squares[somewhere]))),
         ssim=float(structural_similarity(encoded, wanted, channel_axis=2, data_range=1.0)),
         flip=float(flip.mean()),
         flip_covered=float(flip[somewhere].mean()),

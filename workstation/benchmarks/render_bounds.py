@@ -50,7 +50,8 @@ def exact_records(cases: list[Case]) -> list[Record]:
             bound=55.0,
             sense=Sense.AT_LEAST,
             runs=runs,
-            note=where,
+            note=f"{where}; where the painting is, "
+            f"{min(off.psnr_covered_db for _, off in found):.1f} dB at least",
         ),
     ]
 
@@ -61,7 +62,8 @@ def bounded_records(cases: list[Case]) -> list[Record]:
     for scene in dict.fromkeys(case.scene for case in cases):
         found = [pair for pair in _judged(cases, Mode.BOUNDED) if pair[0].scene == scene]
         case, off = max(found, key=lambda pair: pair[1].parallax_px[1])
-        note = f"{case.view} {case.size}"
+        note = f"{case.view} {case.size}; covered by one of the two alone, "
+        note += f"{max(off.coverage_px for _, off in found)} px at most"
         name = f"bounded.parallax_p95_px_max{_suffix(scene)}"
         records.append(at_most(name, off.parallax_px[1], "px", 0.25, note, runs=len(found)))
         case, off = max(found, key=lambda pair: pair[1].flip)
