@@ -34,7 +34,7 @@ def bench(
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write records here.")] = None,
     pictures: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", exists=True, file_okay=False, help="Draw its pictures here."),
+        typer.Option(metavar="DIR", file_okay=False, help="Draw its pictures in this folder."),
     ] = None,
     out: Annotated[
         Path | None,
@@ -64,6 +64,13 @@ def bench(
         raise typer.BadParameter("all benchmarks go to a folder, and no others", param_hint="--out")
     if which is Benchmark.ALL and (pictures or part):
         raise typer.BadParameter("all benchmarks have their pictures and parts in --out")
+    # Before minutes of measuring, not after them.
+    for name, folder in (
+        ("--json", json and json.parent),
+        ("--pictures", pictures and pictures.parent),
+    ):
+        if folder is not None and not folder.is_dir():
+            raise typer.BadParameter(f"there is no folder {folder}; make it first", param_hint=name)
     if out is not None:
         _bench_all(out, json)
         return
@@ -73,6 +80,7 @@ def bench(
     if pictures is not None:
         if "pictures" not in taken:
             raise typer.BadParameter(f"{which} draws none", param_hint="--pictures")
+        pictures.mkdir(exist_ok=True)
         chosen["pictures"] = pictures
     if part:
         known = list(taken["parts"].default) if "parts" in taken else []
