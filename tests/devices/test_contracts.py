@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
-import shutil
-import subprocess
 import threading
 import time
 import zlib
@@ -16,6 +13,7 @@ from dataclasses import dataclass
 import fake_gv_camera
 import numpy as np
 import pytest
+from virtual_display import virtual_display
 
 from devices.bayer import BayerPattern
 from devices.deadline import Deadline
@@ -295,40 +293,16 @@ def dlpc350_projector(request: pytest.FixtureRequest) -> Iterator[Projector]:
 def hdmi_projector(request: pytest.FixtureRequest) -> Iterator[Projector]:
     from devices.hdmi.settings import HdmiSettings
 
-    with virtual_display(*PANEL[::-1]) as display:
+    folder = request.getfixturevalue("tmp_path")
+    with virtual_display(folder, *PANEL[::-1]) as display:
         yield HdmiSettings(
             screen="screen",
             width=PANEL[1],
             height=PANEL[0],
-            display=display,
+            display=display.name,
             latency_s=0.01,
             require_vsync=False,
         ).open()
-
-
-@contextmanager
-def virtual_display(width: int, height: int) -> Iterator[str]:
-    """A screen in memory, by its name."""
-    if shutil.which("Xvfb") is None:
-        pytest.skip("Xvfb is not installed (apt install xvfb)")
-    read, write = os.pipe()
-    size = ("-screen", "0", f"{width}x{height}x24")
-    server = subprocess.Popen(
-        ["Xvfb", "-displayfd", str(write), *size, "-noreset", "-nolisten", "tcp"],
-        pass_fds=(write,),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        os.close(write)
-        number = os.read(read, 16).decode().strip()
-        if not number:
-            pytest.skip("Xvfb did not start")
-        yield f":{number}"
-    finally:
-        os.close(read)
-        server.kill()
-        server.wait()
 
 
 PROJECTORS: dict[str, Callable] = {

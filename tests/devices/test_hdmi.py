@@ -2,19 +2,18 @@ from __future__ import annotations
 
 import ctypes
 import os
-import shutil
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import psutil
 import pytest
+from virtual_display import VirtualDisplay, virtual_display
 
 from devices.deadline import Deadline
 from devices.dlpc350.settings import Dlpc350Settings
@@ -28,21 +27,8 @@ from devices.simulated.dlpc350_backend import SimulatedUsbBackend
 WIDTH, HEIGHT = 1024, 768
 
 
-@dataclass(frozen=True)
-class Display:
-    """A screen in memory, and what is on it."""
-
-    name: str
-    file: Path
-
-    def picture(self) -> np.ndarray:
-        """Levels (rows, cols, 3) that the X server shows, from its dump in xwd's format."""
-        raw = self.file.read_bytes()
-        header = np.frombuffer(raw[:100], ">u4")
-        begin = int(header[0] + 12 * header[19])
-        line = int(header[12])
-        pixels = np.frombuffer(raw, np.uint8, HEIGHT * line, begin).reshape(HEIGHT, -1, 4)
-        return pixels[:, :WIDTH, :3]
+class Display(VirtualDisplay):
+    """A screen in memory, held against pictures."""
 
     def shows(self, image: np.ndarray) -> bool:
         return bool((self.picture() == image[..., None]).all())
@@ -52,35 +38,10 @@ class Display:
         return np.count_nonzero(self.picture()) < 500
 
 
-@contextmanager
-def virtual_display(folder: Path) -> Iterator[Display]:
-    if shutil.which("Xvfb") is None:
-        pytest.skip("Xvfb is not installed (apt install xvfb)")
-    read, write = os.pipe()
-    size = f"{WIDTH}x{HEIGHT}x24"
-    options = f"-displayfd {write} -screen 0 {size} -noreset -nolisten tcp -fbdir {folder}"
-    server = subprocess.Popen(
-        ["Xvfb", *options.split()],
-        pass_fds=(write,),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        os.close(write)
-        number = os.read(read, 16).decode().strip()
-        if not number:
-            pytest.skip("Xvfb did not start")
-        yield Display(f":{number}", folder / "Xvfb_screen0")
-    finally:
-        os.close(read)
-        server.kill()
-        server.wait()
-
-
 @pytest.fixture(scope="module")
 def display(tmp_path_factory) -> Iterator[Display]:
-    with virtual_display(tmp_path_factory.mktemp("screen")) as display:
-        yield display
+    with virtual_display(tmp_path_factory.mktemp("screen"), WIDTH, HEIGHT) as screen:
+        yield Display(screen.name, screen.file)
 
 
 def settings(display: Display | None, **changes) -> HdmiSettings:
@@ -368,8 +329,8 @@ def switch_off(display: Display) -> None:
 
 def test_a_screen_that_goes_off_is_noticed_by_the_next_picture(tmp_path):
     with (
-        virtual_display(tmp_path) as display,
-        closing(HdmiProjector(settings(display))) as projector,
+        virtual_display(tmp_path, WIDTH, HEIGHT) as screen,
+        closing(HdmiProjector(settings(display := Display(screen.name, screen.file)))) as projector,
     ):
         projector.show(random_picture(0))
         switch_off(display)

@@ -3,10 +3,8 @@ from __future__ import annotations
 import ctypes
 import json
 import os
-import shutil
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,11 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from impasto_command import IMPASTO
 from synthetic_copy import make_copy, strokes
+from virtual_display import VirtualDisplay, virtual_display
 
 from fitting.copy_files import write_copy
 
-IMPASTO = Path(sys.executable).parent / "impasto"
 WIDTH, HEIGHT = 360, 270
 # Rows between the bands of the caption.
 PICTURE, TOP = np.s_[40:210], np.s_[:28]
@@ -28,18 +27,14 @@ KEYS = {"Left": 0xFF51, "Up": 0xFF52, "plus": 0x2B, "minus": 0x2D}
 class Screen:
     """Keys and mouse of an X display in memory, and what it shows."""
 
-    def __init__(self, name: str, file: Path) -> None:
+    def __init__(self, shown: VirtualDisplay) -> None:
         xlib = pytest.importorskip("pyglet.libs.x11.xlib")
-        self.name, self._file, self._xlib = name, file, xlib
-        self._display = xlib.XOpenDisplay(name.encode())
+        self.name, self._shown, self._xlib = shown.name, shown, xlib
+        self._display = xlib.XOpenDisplay(shown.name.encode())
 
     def picture(self) -> np.ndarray:
         """The top left of what a person would see, (HEIGHT, WIDTH, 3)."""
-        raw = self._file.read_bytes()
-        header = np.frombuffer(raw[:100], ">u4")
-        begin, line, rows = int(header[0] + 12 * header[19]), int(header[12]), int(header[5])
-        pixels = np.frombuffer(raw, np.uint8, rows * line, begin).reshape(rows, -1, 4)
-        return pixels[:HEIGHT, :WIDTH, :3].copy()
+        return self._shown.picture()[:HEIGHT, :WIDTH].copy()
 
     def settled(self, unlike: np.ndarray | None = None, *, rows: slice = PICTURE) -> np.ndarray:
         """What is shown when it does not change any more, and is not what it was."""
@@ -93,27 +88,8 @@ class Screen:
 
 @pytest.fixture(scope="module")
 def screen(tmp_path_factory) -> Iterator[Screen]:
-    if shutil.which("Xvfb") is None:
-        pytest.skip("Xvfb is not installed (apt install xvfb)")
-    folder = tmp_path_factory.mktemp("screen")
-    read, write = os.pipe()
-    options = f"-displayfd {write} -screen 0 400x300x24 -noreset -nolisten tcp -fbdir {folder}"
-    server = subprocess.Popen(
-        ["Xvfb", *options.split()],
-        pass_fds=(write,),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        os.close(write)
-        number = os.read(read, 16).decode().strip()
-        if not number:
-            pytest.skip("Xvfb did not start")
-        yield Screen(f":{number}", folder / "Xvfb_screen0")
-    finally:
-        os.close(read)
-        server.kill()
-        server.wait()
+    with virtual_display(tmp_path_factory.mktemp("screen"), 400, 300) as display:
+        yield Screen(display)
 
 
 @pytest.fixture(scope="module")
