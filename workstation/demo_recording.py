@@ -33,6 +33,7 @@ from devices.simulated.rig import SimulatedRig, demo_rig
 from devices.simulated.scene_objects import PlacedSurface, Wall
 from devices.simulated.sensor import Sensor
 from fitting.reflectance.clusters import ClusterOptions
+from workstation.demonstration import EXPOSURE_S
 
 BOARD_FOLDER = "board"
 LIGHTS_SESSION = "lights"
@@ -40,7 +41,6 @@ SCAN_SESSION = "scan"
 PHOTOGRAPHS_SESSION = "photographs"
 MOSAIC = BayerPattern.RGGB
 SPHERE_MM = 16.0
-EXPOSURE_S = 0.045
 
 # Of the board: tilts and turn (rad), and where its middle is (mm).
 _POSES = (

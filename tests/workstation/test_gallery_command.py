@@ -3,16 +3,14 @@ from __future__ import annotations
 import json
 import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import cv2
 import pytest
+from impasto_command import IMPASTO
 from synthetic_copy import make_copy, strokes
 
 from fitting.copy_files import write_copy
-
-IMPASTO = str(Path(sys.executable).parent / "impasto")
 
 
 @pytest.fixture

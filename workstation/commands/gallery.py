@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from workstation.commands.render import parse_mode, parse_size
+from workstation.view_options import BudgetOption, ModeOption, parse_mode, parse_size
 
 
 def register(app: typer.Typer) -> None:
@@ -23,12 +23,8 @@ def gallery(
     out: Annotated[Path, typer.Option(help="Folder to make for the frames.")],
     frames: Annotated[int, typer.Option(min=1, help="Frames of the walk.")] = 120,
     size: Annotated[str, typer.Option(metavar="WxH", help="Frame size in pixels.")] = "1280x720",
-    mode: Annotated[
-        str, typer.Option(help="mesh, bump, relief, hybrid, adaptive, exact or bounded.")
-    ] = "bounded",
-    budget: Annotated[
-        float, typer.Option(help="Parallax that bounded may leave, in pixels.")
-    ] = 0.25,
+    mode: ModeOption = "bounded",
+    budget: BudgetOption = 0.25,
     exposure: Annotated[float, typer.Option(help="Factor on the radiance.")] = 1.0,
     video: Annotated[
         bool, typer.Option("--video", help="Write a video beside the frames.")

@@ -8,8 +8,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from workstation.view_options import (
+    BudgetOption,
+    FieldOfViewOption,
+    LightOption,
+    ShadowsOption,
+    parse_light,
+    parse_mode,
+    parse_size,
+)
+
 if TYPE_CHECKING:
-    from render.painter import Light
     from render.painting_node import Mode
 
 ALL = "all"
@@ -34,12 +43,8 @@ def render(
         ),
     ] = "inshot-front",
     size: Annotated[str, typer.Option(metavar="WxH", help="Picture size in pixels.")] = "1024x768",
-    light: Annotated[
-        str, typer.Option(help="'az,el' or 'az,el,dist' of the lamp, degrees and mm.")
-    ] = "135,32",
-    field_of_view: Annotated[
-        float, typer.Option("--fov", help="Vertical field of view, degrees.")
-    ] = 35.0,
+    light: LightOption = "135,32",
+    field_of_view: FieldOfViewOption = 35.0,
     exposure: Annotated[float, typer.Option(help="Factor on the radiance, for PNG.")] = 1.0,
     sensitivity: Annotated[
         float, typer.Option("--k", help="K of the paper's eq. 2, for adaptive.")
@@ -50,12 +55,8 @@ def render(
     epsilon_max: Annotated[
         float, typer.Option(help="ε_max of eq. 2: above it a box is opaque.")
     ] = 0.002,
-    budget: Annotated[
-        float, typer.Option(help="Parallax that bounded may leave, in pixels.")
-    ] = 0.25,
-    shadows: Annotated[
-        bool, typer.Option("--shadows", help="Let the relief cast shadows on itself.")
-    ] = False,
+    budget: BudgetOption = 0.25,
+    shadows: ShadowsOption = False,
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write figures here.")] = None,
 ) -> None:
     """Render a digital copy.
@@ -122,39 +123,7 @@ def render(
     write_json(json, figures)
 
 
-def parse_mode(mode: str) -> Mode:
-    """A mode by its name; another text is an error of usage."""
-    from render.painting_node import Mode
-
-    if mode not in list(Mode):
-        raise typer.BadParameter(f"{mode!r} is none of {', '.join(Mode)}", param_hint="--mode")
-    return Mode(mode)
-
-
 def _parse_modes(mode: str) -> list[Mode]:
     from render.painting_node import Mode
 
     return list(Mode) if mode == ALL else [parse_mode(mode)]
-
-
-def parse_light(light: str) -> Light:
-    """The lamp of ``az,el`` or ``az,el,dist`` in degrees and mm; else an error of usage."""
-    from render.painter import Light
-    from render.views import parse_numbers
-
-    numbers = parse_numbers(light, 2) or parse_numbers(light, 3)
-    if numbers is None:
-        raise typer.BadParameter(f"{light!r} is not az,el or az,el,dist", param_hint="--light")
-    return Light(
-        azimuth=radians(numbers[0]),
-        elevation=radians(numbers[1]),
-        distance_mm=numbers[2] if len(numbers) == 3 else None,
-    )
-
-
-def parse_size(size: str) -> tuple[int, int]:
-    """Width and height of ``WIDTHxHEIGHT``; another text is an error of usage."""
-    parts = size.lower().split("x")
-    if len(parts) != 2 or not all(part.isdecimal() and int(part) > 0 for part in parts):
-        raise typer.BadParameter(f"{size!r} is not WIDTHxHEIGHT", param_hint="--size")
-    return int(parts[0]), int(parts[1])

@@ -8,7 +8,16 @@ from typing import Annotated
 
 import typer
 
-from workstation.commands.render import parse_light, parse_mode, parse_size
+from workstation.view_options import (
+    BudgetOption,
+    FieldOfViewOption,
+    LightOption,
+    ModeOption,
+    ShadowsOption,
+    parse_light,
+    parse_mode,
+    parse_size,
+)
 
 
 def register(app: typer.Typer) -> None:
@@ -18,9 +27,7 @@ def register(app: typer.Typer) -> None:
 
 def view(
     copy: Annotated[Path, typer.Argument(metavar="COPY", help="Folder of a digital copy.")],
-    mode: Annotated[
-        str, typer.Option(help="mesh, bump, relief, hybrid, adaptive, exact or bounded.")
-    ] = "bounded",
+    mode: ModeOption = "bounded",
     view: Annotated[
         str,
         typer.Option(
@@ -28,19 +35,11 @@ def view(
         ),
     ] = "inshot-front",
     size: Annotated[str, typer.Option(metavar="WxH", help="Window size in pixels.")] = "1024x768",
-    light: Annotated[
-        str, typer.Option(help="'az,el' or 'az,el,dist' of the lamp, degrees and mm.")
-    ] = "135,32",
-    field_of_view: Annotated[
-        float, typer.Option("--fov", help="Vertical field of view, degrees.")
-    ] = 35.0,
+    light: LightOption = "135,32",
+    field_of_view: FieldOfViewOption = 35.0,
     exposure: Annotated[float, typer.Option(help="Factor on the radiance.")] = 1.0,
-    budget: Annotated[
-        float, typer.Option(help="Parallax that bounded may leave, in pixels.")
-    ] = 0.25,
-    shadows: Annotated[
-        bool, typer.Option("--shadows", help="Let the relief cast shadows on itself.")
-    ] = False,
+    budget: BudgetOption = 0.25,
+    shadows: ShadowsOption = False,
     json: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write what was shown last here.")
     ] = None,
