@@ -13,6 +13,7 @@ from acquisition.atomic_files import folder_in_progress
 from acquisition.errors import SessionError
 from devices.errors import ImpastoError
 from workstation.benchmark_records import Record, limits_text
+from workstation.interruption import too_late_to_stop
 from workstation.json_output import write_json
 from workstation.progress import progress
 from workstation.report_page import Picture, Section, Table, write_page
@@ -88,6 +89,7 @@ def run_benchmarks(names: Sequence[str], out: Path) -> BenchmarksRun:
                 if not r.holds
             ),
         )
+        too_late_to_stop()
     return BenchmarksRun(records, failed)
 
 

@@ -135,6 +135,18 @@ class DemoCapture:
         return demo_rig(seed=seed, camera_width=self.camera_width, sensor=sensor)
 
 
+def photograph_choices(places: tuple[str, ...], lamp_poses: int) -> PhotographChoices:
+    """Photographs of the simulated rig, from each place under as many lights."""
+    return PhotographChoices(
+        exposures_s=_BRACKET_S,
+        code_exposures_s=(EXPOSURE_S,),
+        poses=lamp_poses,
+        least_elevation=_LOWEST_LAMP,
+        camera_positions=places,
+        steps=4,
+    )
+
+
 class DemoRecorder:
     """Records the demo's sessions into a folder.
 
@@ -186,7 +198,8 @@ class DemoRecorder:
         wall = Wall(_BEHIND_SPHERES_MM, albedo=_WHITE_WALL)
         self._scene.replace_subject(plate, background=(*spheres, wall))
         places = self._capture.places[:1]
-        self._record(LIGHTS_SESSION, plan_photographs(self._rig, self._choices(places)))
+        choices = photograph_choices(places, self._capture.lamp_poses)
+        self._record(LIGHTS_SESSION, plan_photographs(self._rig, choices))
         self._restore()
 
     def record_scan(self, calibration: Path) -> None:
@@ -196,19 +209,9 @@ class DemoRecorder:
 
     def record_photographs(self) -> None:
         """Photograph the painting from each place under each light."""
-        choices = self._choices(self._capture.places)
+        choices = photograph_choices(self._capture.places, self._capture.lamp_poses)
         self._record(PHOTOGRAPHS_SESSION, plan_photographs(self._rig, choices))
         self._restore()
-
-    def _choices(self, places: tuple[str, ...]) -> PhotographChoices:
-        return PhotographChoices(
-            exposures_s=_BRACKET_S,
-            code_exposures_s=(EXPOSURE_S,),
-            poses=self._capture.lamp_poses,
-            least_elevation=_LOWEST_LAMP,
-            camera_positions=places,
-            steps=4,
-        )
 
     def _restore(self) -> None:
         painting, background = self._painting

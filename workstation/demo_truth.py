@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.session import Session
 from calibration.lamp import Lamp
 from calibration.lens import compose, invert, transform
 from devices.interfaces import ArmPose
@@ -54,6 +56,13 @@ class DeclaredLamps:
         of_letter = dict(zip(letters, weights, strict=True))
         colours = np.array([of_letter[letter] for letter in "RGB"])
         return np.asarray(math.pi * scene.arm.radius**2 * numbers * colours)
+
+
+def declared_lamps(rig: SimulatedRig, photographs: Path) -> LampTable:
+    """The true lamps at the poses of a session of photographs."""
+    frames = Session.open(photographs).frames
+    poses = dict.fromkeys(frame.arm_pose for frame in frames if frame.arm_pose is not None)
+    return LampTable.of(DeclaredLamps(rig), poses)
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,10 @@ _SIGNALS = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
 _requested = threading.Event()
 _raised = threading.Event()
 _held = threading.Event()
+_too_late = threading.Event()
+_watching = threading.Event()
+# Between a request that comes and a command that will not hear any more.
+_deciding = threading.Lock()
 
 
 def watch_for_interruption() -> None:
@@ -38,6 +42,7 @@ def watch_for_interruption() -> None:
     threading.Thread(
         target=_wait_for_signals, args=(watched,), daemon=True, name="interruption"
     ).start()
+    _watching.set()
 
 
 def was_requested() -> bool:
@@ -70,17 +75,32 @@ def interruption_held() -> Iterator[None]:
     stop_if_requested()
 
 
+def too_late_to_stop() -> None:
+    """From here on a request to stop is not heard: the work is done, its results are put in place.
+
+    What a command leaves is several files then, of which none is to be there without the others. A
+    request that came before raises KeyboardInterrupt here.
+    """
+    with _deciding:
+        if _watching.is_set() and not _requested.is_set():
+            _too_late.set()
+    stop_if_requested()
+
+
 def _wait_for_signals(watched: set[signal.Signals]) -> None:
     while True:
         signal.sigwait(watched)
-        if _requested.is_set():
-            continue  # the way out is not interrupted
-        _requested.set()
-        if not _held.is_set():
-            _thread.interrupt_main()
+        with _deciding:
+            if _requested.is_set() or _too_late.is_set():
+                continue  # the way out is not interrupted
+            _requested.set()
+            if not _held.is_set():
+                _thread.interrupt_main()
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
+    if _too_late.is_set():
+        return
     _requested.set()
     if not (_raised.is_set() or _held.is_set()):
         _raised.set()

@@ -5,9 +5,32 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import typer
 
 from acquisition.atomic_files import write_bytes
+
+
+def check_json_path(path: Path | None) -> Path | None:
+    """Refuse a file that cannot be written, before minutes of work and not after them.
+
+    Raises
+    ------
+    typer.BadParameter
+        It has no folder to lie in, or is one.
+    """
+    if path is not None and not path.parent.is_dir():
+        raise typer.BadParameter(f"there is no folder {path.parent}; make it first")
+    if path is not None and path.is_dir():
+        raise typer.BadParameter(f"{path} is a folder; name a file")
+    return path
+
+
+JsonOption = Annotated[
+    Path | None,
+    typer.Option("--json", metavar="FILE", help="Write figures here.", callback=check_json_path),
+]
 
 
 def write_json(path: Path | None, figures: Any) -> None:

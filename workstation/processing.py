@@ -66,6 +66,11 @@ class ProcessingOptions:
     photographs: PhotographOptions = field(default_factory=PhotographOptions)
     reflectance: ReflectanceOptions = field(default_factory=ReflectanceOptions)
 
+    def with_maps(self, **choices: Any) -> ProcessingOptions:
+        """The same with other choices for the maps of reflectance, by their names."""
+        maps = replace(self.reflectance.maps, **choices)
+        return replace(self, reflectance=replace(self.reflectance, maps=maps))
+
 
 @dataclass(frozen=True)
 class PhotographStages:
@@ -182,7 +187,7 @@ class Processed:
                 "reflectance": reflectance_provenance(figures["reflectance"]),
             }
         return found | {
-            "parameters": _plain(parameters),
+            "parameters": plain_options(parameters),
             "errors": errors_by_stage(figures),
             "warnings": figures["warnings"],
         }
@@ -348,13 +353,13 @@ def _recorded(session: Session) -> tuple[str, ...]:
     return session.digest, hashlib.sha256(journal).hexdigest()
 
 
-def _plain(value: Any) -> Any:
+def plain_options(value: Any) -> Any:
     """Options as JSON has them."""
     match value:
         case dict():
-            return {key: _plain(inner) for key, inner in value.items()}
+            return {key: plain_options(inner) for key, inner in value.items()}
         case tuple() | list():
-            return [_plain(inner) for inner in value]
+            return [plain_options(inner) for inner in value]
         case BayerPattern():
             return value.value
         case np.ndarray():

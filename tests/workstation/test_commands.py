@@ -85,6 +85,19 @@ def test_bad_input_ends_with_its_code_and_nothing_written(tmp_path, dark_session
         (("render", tmp_path / "copy", "--size", "0x9", "--out", tmp_path / "o.png"), 2, "size"),
         (("render", tmp_path / "copy", "--view", "up", "--out", tmp_path / "o.png"), 3, "no view"),
         (("bench", "render", "--json", tmp_path / "no" / "f.json"), 2, "there is no folder"),
+        (
+            (
+                "render",
+                tmp_path / "copy",
+                "--out",
+                tmp_path / "o.png",
+                "--json",
+                tmp_path / "no" / "f",
+            ),
+            2,
+            "there is no folder",
+        ),
+        (("devices", "--json", tmp_path), 2, "is a folder"),
         (("bench", "stress", "--pictures", tmp_path / "no" / "p"), 2, "there is no folder"),
         (
             ("import", tmp_path, "--capture", tmp_path / "bad.toml", "--out", tmp_path / "o"),

@@ -47,6 +47,14 @@ def test_a_signal_interrupts_once_and_the_way_out_not_at_all(ending_signal, afte
     assert running.returncode == 0
 
 
+def test_what_is_done_is_put_in_place_whatever_comes():
+    late = "from workstation.interruption import too_late_to_stop\ntoo_late_to_stop()"
+    with start(after=late) as running:
+        running.send_signal(signal.SIGINT)
+        assert running.stdout.readline() == "went on\n"
+    assert running.returncode == 0
+
+
 def test_a_closing_terminal_that_is_to_be_ignored_is_ignored():
     with start(before="signal.signal(signal.SIGHUP, signal.SIG_IGN)") as running:
         running.send_signal(signal.SIGHUP)

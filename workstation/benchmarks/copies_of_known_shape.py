@@ -84,10 +84,15 @@ def paint_reflectance(surface: Surface, texel: int) -> ReflectanceMaps:
     )
 
 
-def dime_copy(data: Path) -> DigitalCopy:
-    """A measured coin, 17.9 mm across; matt."""
+def dime_heights(data: Path) -> tuple[Floats, float]:
+    """Heights about their median, and their spacing, mm, of a measured coin, 17.9 mm across."""
     height = np.load(data / "gelsight_dime" / "dime_height_mm.npy").astype(np.float32)
-    return copy_of_heights(height - np.float32(np.nanmedian(height)), _DIME_PITCH_MM)
+    return height - np.float32(np.nanmedian(height)), _DIME_PITCH_MM
+
+
+def dime_copy(data: Path) -> DigitalCopy:
+    """The coin, matt."""
+    return copy_of_heights(*dime_heights(data))
 
 
 def plaster_copy(data: Path) -> DigitalCopy:

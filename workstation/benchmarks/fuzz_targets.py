@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import pickle
 import re
 import shutil
 from dataclasses import replace
@@ -16,6 +17,7 @@ from acquisition.capture_description import read_description
 from acquisition.errors import SessionError
 from acquisition.foreign_capture import find_capture, record_capture
 from acquisition.journal import AnyEvent, FrameRecorded, append_event, read_journal
+from acquisition.light_poses import spread_poses
 from acquisition.session import JOURNAL_FILE, MANIFEST_FILE, Session, manifest_text
 from calibration.opencv_files import read_rig_geometry, write_matrices
 from calibration.rig_geometry import RigGeometry
@@ -23,14 +25,21 @@ from devices.rig_file import read_rig_file
 from devices.simulated.rig import demo_rig
 from fitting.copy_files import read_copy, write_copy
 from fitting.digital_copy import DigitalCopy, ReflectanceMaps
+from fitting.reflectance.lamp_table import LampTable
+from fitting.reflectance.light_only import read_light_only
 from workstation.benchmarks.fuzzing import Target, fingerprint
+from workstation.demo_truth import DeclaredLamps
 from workstation.demonstration import record_simulated_scan
 from workstation.processing import process_session
+from workstation.result_files import read_result, write_result
 
 _CAMERA_WIDTH = 96
 _CAPTURE_TOML = "capture.toml"
 _CALIBRATION_FILE = "calibration.yml"
 _RIG_FILE = "rig.toml"
+_LAMPS_FILE, _LAMPS = "lamps.json", 4
+_RESULT_FILE = "result.npz"
+DOME_FILE = "lights.lp"
 _RIG = """
 [camera]
 driver = "simulated"
@@ -92,6 +101,20 @@ pose = "camera to projector"
 """
 
 
+TARGETS = (
+    "session as recorded",
+    "session resealed",
+    "rig.toml",
+    "capture.toml",
+    "camera models",
+    "OpenCV calibration",
+    "copy",
+    "table of lamps",
+    "pictures under lights",
+    "stored result",
+)
+
+
 def make_targets(place: Path) -> tuple[Target, ...]:
     """Write good files of every kind below a folder.
 
@@ -105,12 +128,19 @@ def make_targets(place: Path) -> tuple[Target, ...]:
     tuple of Target
     """
     session = place / "session"
-    record_simulated_scan(demo_rig(camera_width=_CAMERA_WIDTH), session)
+    rig = demo_rig(camera_width=_CAMERA_WIDTH)
+    record_simulated_scan(rig, session)
     copy = process_session(session).copy
     write_copy(replace(copy, reflectance=_reflectance(copy)), place / "copy")
-    _write_capture(place / "capture", width=24, height=18)
+    write_capture(place / "capture", width=24, height=18)
     (place / "rig").mkdir()
     (place / "rig" / _RIG_FILE).write_text(_RIG)
+    (place / "lamps").mkdir()
+    poses = spread_poses(rig.arm.capabilities.limits, _LAMPS)
+    LampTable.of(DeclaredLamps(rig), poses).save(place / "lamps" / _LAMPS_FILE)
+    write_dome(place / "dome", lights=6, width=16, height=12)
+    (place / "stored").mkdir()
+    write_result(copy.height_field, place / "stored" / _RESULT_FILE)
     return (
         Target("session as recorded", session, _read_session, sealed=True),
         Target("session resealed", session, _process_session, mend=reseal),
@@ -124,6 +154,9 @@ def make_targets(place: Path) -> tuple[Target, ...]:
         ),
         Target("OpenCV calibration", place / "capture", _read_opencv, files=(_CALIBRATION_FILE,)),
         Target("copy", place / "copy", _read_copy),
+        Target("table of lamps", place / "lamps", _read_lamps),
+        Target("pictures under lights", place / "dome", _read_dome),
+        Target("stored result", place / "stored", _read_stored),
     )
 
 
@@ -236,6 +269,24 @@ def _of_copy(copy: DigitalCopy) -> bytes:
     )
 
 
+def _read_lamps(folder: Path) -> bytes:
+    table = LampTable.load(folder / _LAMPS_FILE)
+    lamps = [np.concatenate([one.position, one.axis, one.intensity]) for one in table.lamps]
+    poses = repr([(pose.azimuth, pose.elevation) for pose in table.poses])
+    exponents = repr([one.exponent for one in table.lamps])
+    return fingerprint(np.array(lamps).tobytes(), poses.encode(), exponents.encode())
+
+
+def _read_dome(folder: Path) -> bytes:
+    copy, photographs = read_light_only(folder / DOME_FILE)
+    pictures = [np.ascontiguousarray(one.radiance).tobytes() for one in photographs]
+    return fingerprint(repr(copy.height_field.shape).encode(), *pictures)
+
+
+def _read_stored(folder: Path) -> bytes:
+    return fingerprint(pickle.dumps(read_result(folder / _RESULT_FILE)))
+
+
 def _reflectance(copy: DigitalCopy) -> ReflectanceMaps:
     shape = copy.height_field.shape
     lobe = np.broadcast_to(np.array([-1.0, -1.0, 1.1, 20.0], np.float32), (*shape, 4))
@@ -243,7 +294,8 @@ def _reflectance(copy: DigitalCopy) -> ReflectanceMaps:
     return ReflectanceMaps(diffuse, np.full((*shape, 3), 0.1, np.float32), lobe.copy())
 
 
-def _write_capture(folder: Path, *, width: int, height: int) -> None:
+def write_capture(folder: Path, *, width: int, height: int) -> None:
+    """Write a small capture of other software, with its calibration and its description."""
     folder.mkdir()
     (folder / _CAPTURE_TOML).write_text(_CAPTURE.format(width=width, height=height))
     x = np.arange(width) * 64 / width
@@ -263,3 +315,18 @@ def _write_capture(folder: Path, *, width: int, height: int) -> None:
 
 def _write_rows(file: Path, level: np.ndarray, height: int) -> None:
     cv2.imwrite(str(file), np.tile(level.astype(np.uint8), (height, 1)))
+
+
+def write_dome(folder: Path, *, lights: int, width: int, height: int) -> None:
+    """Write pictures of a flat matt board under distant lights, and the table of these."""
+    folder.mkdir()
+    random = np.random.default_rng(0)
+    lines = [f"{lights}"]
+    for number in range(lights):
+        polar, turn = np.radians(15 + 45 * number / lights), 2.4 * number
+        x, y, z = np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn), np.cos(polar)
+        linear = 0.5 * z + 0.001 * random.standard_normal((height, width, 3))
+        picture = np.clip(np.rint(65535 * linear), 0, 65535).astype(np.uint16)
+        cv2.imwrite(str(folder / f"{number:02}.png"), picture)
+        lines.append(f"{number:02}.png {x:.6f} {y:.6f} {z:.6f}")
+    (folder / DOME_FILE).write_text("\n".join(lines) + "\n")

@@ -10,68 +10,121 @@ import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acquisition.errors import SessionError
 from acquisition.journal import FrameRecorded, read_journal
 from acquisition.session import JOURNAL_FILE, Session
 from devices.errors import ImpastoError
-from fitting.copy_files import read_copy
 
-_COMMAND = [sys.executable, "-m", "workstation.command_line"]
+IMPASTO = [sys.executable, "-m", "workstation.command_line"]
+# As many commands at once as are interrupted; their run time is measured so, too.
+_AT_ONCE = 2
 _PATIENCE_S = 120.0
+# Draws of moments for those at which the command had ended already.
+_ROUNDS = 6
+INTERRUPTED = 130
 # A signal that comes before the command has begun ends the interpreter by its default action.
-_ENDED = {0, 130, -signal.SIGINT, -signal.SIGTERM}
+_ENDED_INTERRUPTED = {INTERRUPTED, -signal.SIGINT}
 # While it loads its own modules the interpreter may also end with an error.
 _LOADING_S = 0.5
 
 
 @dataclass(frozen=True)
 class Command:
-    """A command that makes one thing, whole or not at all.
+    """A command that writes something, and how it is told whether all of it is there.
 
     Attributes
     ----------
     name : str
     words : callable
-        Arguments, given the path of what is to be made.
+        Arguments, given the folder that is to hold everything that is made. What a whole run leaves
+        there is what every run must leave, or nothing.
     check : callable
-        Raises ImpastoError where what was made is not whole.
-    beside : tuple of str
-        What else it makes, for a result that is called ``out``.
+        Given that folder; raises ImpastoError where something in it is not whole.
+    prepare : callable
+        Puts what is to be changed into the folder.
+    resumable : str, optional
+        A session in the folder that may be left unfinished, to be gone on with.
+    same : bool
+        Whether a session that was gone on with has the manifest of one that was not interrupted.
+    kept : frozenset of str
+        What may be left of an interrupted run besides, and is whole in itself.
     """
 
     name: str
     words: Callable[[Path], list[str]]
     check: Callable[[Path], object]
-    beside: tuple[str, ...] = ()
+    prepare: Callable[[Path], object] = lambda folder: None
+    resumable: str | None = None
+    same: bool = True
+    kept: frozenset[str] = frozenset()
 
 
-def commands(session: Path, copy: Path, capture: Path, description: Path) -> tuple[Command, ...]:
-    """The commands that read files and make others."""
+@dataclass
+class Interruptions:
+    """What came of interrupting a command.
 
-    def importing(out: Path) -> list[str]:
-        return ["import", str(capture), "--capture", str(description), "--out", str(out)]
+    Attributes
+    ----------
+    command : str
+    seed : int
+        Of the moments.
+    lasting_s : float
+        Run time of the command that nobody interrupts, two at once.
+    moments_s : list of float
+        When it was interrupted while it ran, seconds after its start.
+    finished : int
+        Runs that were interrupted too late, and ended with all that they make.
+    missed : int
+        Runs that ended before they could be interrupted, beside those counted.
+    wrong : list of str
+        What was left half.
+    """
 
-    def rendering(out: Path) -> list[str]:
-        views = ["--mode", "bump", "--view", "all", "--size", "160x120"]
-        return ["render", str(copy), "--out", str(out), *views]
-
-    def processing(out: Path) -> list[str]:
-        return ["process", str(session), "--out", str(out)]
-
-    return (
-        Command("import", importing, Session.open),
-        Command("process", processing, read_copy, ("out-relief.png", "out-run.json")),
-        Command("render", rendering, _check_pictures),
-    )
+    command: str
+    seed: int
+    lasting_s: float = 0.0
+    moments_s: list[float] = field(default_factory=list)
+    finished: int = 0
+    missed: int = 0
+    wrong: list[str] = field(default_factory=list)
 
 
-def interrupt(command: Command, place: Path, *, times: int, seed: int = 0) -> list[str]:
-    """Interrupt a command at random moments and look at what is left.
+@dataclass(frozen=True)
+class _End:
+    """Whether a run was struck, seconds until then or its end, exit code, what it left half."""
+
+    struck: bool
+    seconds: float
+    code: int
+    wrong: str | None
+
+
+@dataclass(frozen=True)
+class _Whole:
+    """What a run leaves that nobody interrupts."""
+
+    names: frozenset[str]
+    digest: str | None
+
+
+def interrupt(
+    command: Command,
+    place: Path,
+    *,
+    times: int,
+    seed: int = 0,
+    advance: Callable[[], None] = lambda: None,
+) -> Interruptions:
+    """Interrupt a command by SIGINT at random moments of its run time, and look at what is left.
+
+    The moments are random in as many equal parts of the run time as there are of them, so that
+    they are spread over all of it. A run that has ended by its moment is begun again with another.
 
     Parameters
     ----------
@@ -80,62 +133,128 @@ def interrupt(command: Command, place: Path, *, times: int, seed: int = 0) -> li
         An empty folder.
     times : int
     seed : int
+    advance : callable
+        Called for each interrupted run.
 
     Returns
     -------
-    list of str
-        What was found wrong.
+    Interruptions
     """
     random = np.random.default_rng(seed)
-    begun = time.perf_counter()
-    done = subprocess.run(
-        [*_COMMAND, *command.words(place / "whole")], capture_output=True, text=True, check=False
-    )
-    if done.returncode != 0:
-        return [f"{command.name} fails when nobody interrupts it: {done.stderr.strip()}"]
-    lasting = time.perf_counter() - begun
-    moments = random.uniform(0.0, lasting, times)
-    signs = random.choice([signal.SIGINT, signal.SIGTERM], times)
+    done = Interruptions(command.name, seed)
+    whole = _run_whole(command, place, done)
+    if whole is None:
+        return done
+    number = 0
+    for _ in range(_ROUNDS):
+        missing = times - len(done.moments_s)
+        if missing == 0:
+            break
+        moments = spread_moments(missing, done.lasting_s, random)
+        folders = [place / str(number + offset) for offset in range(missing)]
+        number += missing
+        with ThreadPoolExecutor(_AT_ONCE) as pool:
+            jobs = zip(folders, moments.tolist(), strict=True)
+            ends = list(pool.map(lambda job: _once(command, whole, *job), jobs))
+        for end in ends:
+            if end.wrong:
+                done.wrong.append(f"{command.name} after {end.seconds:.2f} s: {end.wrong}")
+            if end.struck:
+                advance()
+                done.moments_s.append(end.seconds)
+                done.finished += end.code == 0
+        missed = [end.seconds for end in ends if not end.struck]
+        done.missed += len(missed)
+        if missed:
+            # What they took tells better how long the command runs by now.
+            done.lasting_s = float(np.mean(missed))
+    return done
 
-    def once(number: int) -> str | None:
-        folder = place / str(number)
+
+def spread_moments(
+    times: int, lasting_s: float, random: np.random.Generator
+) -> NDArray[np.float64]:
+    """Moments (times,), one at random in each of as many equal parts of a length of time."""
+    parts = (np.arange(times) + random.uniform(size=times)) / times
+    return np.asarray(lasting_s * random.permutation(parts))
+
+
+def _run_whole(command: Command, place: Path, done: Interruptions) -> _Whole | None:
+    """Let the command run to its end, as many at once as will be interrupted."""
+
+    def once(number: int) -> tuple[float, str | None]:
+        folder = place / f"whole-{number}"
         folder.mkdir()
-        ended = _cut_off(
-            command.words(folder / "out"), float(moments[number]), signal.Signals(signs[number])
+        command.prepare(folder)
+        begun = time.perf_counter()
+        ended = subprocess.run(
+            [*IMPASTO, *command.words(folder)], capture_output=True, text=True, check=False
         )
-        if ended == 1 and moments[number] < _LOADING_S:
-            ended = -int(signs[number])
-        wrong = _left_behind(command, folder, ended)
-        shutil.rmtree(folder)
-        return wrong and f"{command.name} after {moments[number]:.2f} s: {wrong}"
+        failed = ended.stderr.strip() if ended.returncode else None
+        return time.perf_counter() - begun, failed
 
-    with ThreadPoolExecutor(2) as pool:
-        return [wrong for wrong in pool.map(once, range(times)) if wrong]
+    with ThreadPoolExecutor(_AT_ONCE) as pool:
+        runs = list(pool.map(once, range(_AT_ONCE)))
+    for _, failed in runs:
+        if failed is not None:
+            done.wrong.append(f"{command.name} fails when nobody interrupts it: {failed}")
+            return None
+    done.lasting_s = float(np.mean([seconds for seconds, _ in runs]))
+    folder = place / "whole-0"
+    command.check(folder)
+    names = frozenset(path.name for path in folder.iterdir()) - command.kept
+    digest = Session.open(folder / command.resumable).digest if command.resumable else None
+    return _Whole(names, digest)
 
 
-def _left_behind(command: Command, folder: Path, ended: int) -> str | None:
-    # Results of stages are kept for the next run, and are whole each: see workstation.stage_cache.
-    left = {path.name for path in folder.iterdir()} - {"out-stages"}
-    whole = {"out", *command.beside}
-    if ended not in _ENDED:
+def _once(command: Command, whole: _Whole, folder: Path, moment: float) -> _End:
+    folder.mkdir()
+    command.prepare(folder)
+    before = {path.name for path in folder.iterdir()}
+    struck, seconds, code = _cut_off(command.words(folder), moment, signal.SIGINT)
+    if code == 1 and moment < _LOADING_S:
+        code = INTERRUPTED
+    wrong = _left_behind(command, whole, folder, before, code)
+    shutil.rmtree(folder)
+    return _End(struck, seconds, code, wrong)
+
+
+def _left_behind(
+    command: Command, whole: _Whole, folder: Path, before: set[str], ended: int
+) -> str | None:
+    if ended != 0 and ended not in _ENDED_INTERRUPTED:
         return f"ended with {ended}"
-    if ended != 0 and not left:
+    if ended != 0 and command.resumable is not None:
+        return _resume(folder / command.resumable, whole if command.same else None, before)
+    left = {path.name for path in folder.iterdir()} - command.kept
+    if ended != 0 and left <= before:
         return None
-    # A request that comes while the result is written waits until all of it is there.
-    if left != whole:
+    # A request that comes when everything is made is too late: all of it is put in place.
+    if left != whole.names:
         return f"ended with {ended} and left {', '.join(sorted(left)) or 'nothing'}"
     try:
-        command.check(folder / "out")
-    except ImpastoError as error:
+        command.check(folder)
+    except (ImpastoError, OSError, ValueError) as error:
         return f"made what is not whole: {error}"
     return None
 
 
-def _check_pictures(folder: Path) -> None:
-    for path in folder.rglob("*.png"):
-        # A PNG ends with the chunk IEND and its checksum.
-        if not path.read_bytes().endswith(b"IEND\xaeB`\x82"):
-            raise SessionError(f"{path}: cut off")
+def _resume(session: Path, whole: _Whole | None, before: set[str]) -> str | None:
+    """Go on with a session that was cut off; what it lacks then of a whole one."""
+    left = {path.name for path in session.parent.iterdir()}
+    if not left - before - {session.name}:
+        if not session.exists():
+            return None
+        words = [*IMPASTO, "resume", str(session)]
+        ended = subprocess.run(words, capture_output=True, text=True, check=False)
+        if ended.returncode:
+            return f"cannot be resumed: {ended.stderr.strip()}"
+    try:
+        digest = Session.open(session).digest
+    except SessionError as error:
+        return f"resumed to what is not whole: {error}"
+    same = whole is None or digest == whole.digest
+    return None if same else "resumed to another manifest"
 
 
 @dataclass(frozen=True)
@@ -147,7 +266,14 @@ class Recordings:
     wrong: tuple[str, ...]
 
 
-def kill_recordings(rig: Path, place: Path, *, times: int, seed: int = 0) -> Recordings:
+def kill_recordings(
+    rig: Path,
+    place: Path,
+    *,
+    times: int,
+    seed: int = 0,
+    advance: Callable[[], None] = lambda: None,
+) -> Recordings:
     """Kill scans without warning at random moments, look at what was acknowledged, and resume.
 
     Parameters
@@ -158,6 +284,8 @@ def kill_recordings(rig: Path, place: Path, *, times: int, seed: int = 0) -> Rec
         An empty folder.
     times : int
     seed : int
+    advance : callable
+        Called for each recording.
 
     Returns
     -------
@@ -167,7 +295,7 @@ def kill_recordings(rig: Path, place: Path, *, times: int, seed: int = 0) -> Rec
     begun = time.perf_counter()
     whole = place / "whole"
     scan = ["scan", str(rig), "--out"]
-    subprocess.run([*_COMMAND, *scan, str(whole)], capture_output=True, check=True)
+    subprocess.run([*IMPASTO, *scan, str(whole)], capture_output=True, check=True)
     lasting = time.perf_counter() - begun
     digest = Session.open(whole).digest
     moments = random.uniform(0.3 * lasting, lasting, times)
@@ -175,11 +303,12 @@ def kill_recordings(rig: Path, place: Path, *, times: int, seed: int = 0) -> Rec
     def once(number: int) -> tuple[int, str | None]:
         out = place / str(number)
         _cut_off([*scan, str(out)], float(moments[number]), signal.SIGKILL)
+        advance()
         if not (out / JOURNAL_FILE).is_file():
             shutil.rmtree(out, ignore_errors=True)
             return 0, None
         lost = _lost_frames(out)
-        subprocess.run([*_COMMAND, "resume", str(out)], capture_output=True, check=False)
+        subprocess.run([*IMPASTO, "resume", str(out)], capture_output=True, check=False)
         try:
             wrong = None if Session.open(out).digest == digest else "resumed to another manifest"
         except SessionError as error:
@@ -187,7 +316,7 @@ def kill_recordings(rig: Path, place: Path, *, times: int, seed: int = 0) -> Rec
         shutil.rmtree(out)
         return lost, wrong and f"scan killed after {moments[number]:.2f} s: {wrong}"
 
-    with ThreadPoolExecutor(2) as pool:
+    with ThreadPoolExecutor(_AT_ONCE) as pool:
         ends = list(pool.map(once, range(times)))
     return Recordings(times, sum(n for n, _ in ends), tuple(wrong for _, wrong in ends if wrong))
 
@@ -203,16 +332,20 @@ def _lost_frames(session: Path) -> int:
     return lost
 
 
-def _cut_off(words: list[str], after_s: float, sign: signal.Signals) -> int:
+def _cut_off(words: list[str], after_s: float, sign: signal.Signals) -> tuple[bool, float, int]:
+    """Whether the command ran when it was to be struck, seconds until then or its end, its code."""
+    begun = time.perf_counter()
     running = subprocess.Popen(
-        [*_COMMAND, *words], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        [*IMPASTO, *words], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )
     try:
-        return running.wait(timeout=after_s)
+        code = running.wait(timeout=after_s)
+        return False, time.perf_counter() - begun, code
     except subprocess.TimeoutExpired:
         running.send_signal(sign)
+    struck = time.perf_counter() - begun
     try:
-        return running.wait(timeout=_PATIENCE_S)
+        return True, struck, running.wait(timeout=_PATIENCE_S)
     except subprocess.TimeoutExpired:
         running.kill()
-        return running.wait()
+        return True, struck, running.wait()

@@ -8,6 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
+from workstation.json_output import JsonOption, write_json
+
 
 class Benchmark(StrEnum):
     """The benchmarks there are: modules of :mod:`workstation.benchmarks`, and all of them."""
@@ -31,7 +33,7 @@ def register(app: typer.Typer) -> None:
 
 def bench(
     which: Annotated[Benchmark, typer.Argument(help="What to measure.")],
-    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write records here.")] = None,
+    json: JsonOption = None,
     pictures: Annotated[
         Path | None,
         typer.Option(metavar="DIR", file_okay=False, help="Draw its pictures in this folder."),
@@ -58,45 +60,44 @@ def bench(
     import inspect
 
     from workstation.benchmark_records import print_records
-    from workstation.json_output import write_json
+    from workstation.files_in_progress import files_in_progress
+    from workstation.interruption import too_late_to_stop
 
     if (which is Benchmark.ALL) != (out is not None):
         raise typer.BadParameter("all benchmarks go to a folder, and no others", param_hint="--out")
     if which is Benchmark.ALL and (pictures or part):
         raise typer.BadParameter("all benchmarks have their pictures and parts in --out")
     # Before minutes of measuring, not after them.
-    for name, folder in (
-        ("--json", json and json.parent),
-        ("--pictures", pictures and pictures.parent),
-    ):
-        if folder is not None and not folder.is_dir():
-            raise typer.BadParameter(f"there is no folder {folder}; make it first", param_hint=name)
+    if pictures is not None and not pictures.parent.is_dir():
+        raise typer.BadParameter(
+            f"there is no folder {pictures.parent}; make it first", param_hint="--pictures"
+        )
     if out is not None:
         _bench_all(out, json)
         return
     measure = importlib.import_module(f"workstation.benchmarks.{which}").bench
     taken = inspect.signature(measure).parameters
     chosen: dict[str, Any] = {}
-    if pictures is not None:
-        if "pictures" not in taken:
-            raise typer.BadParameter(f"{which} draws none", param_hint="--pictures")
-        pictures.mkdir(exist_ok=True)
-        chosen["pictures"] = pictures
+    if pictures is not None and "pictures" not in taken:
+        raise typer.BadParameter(f"{which} draws none", param_hint="--pictures")
     if part:
         known = list(taken["parts"].default) if "parts" in taken else []
         if not set(part) <= set(known):
             has = f"has {', '.join(known)}" if known else "has no parts"
             raise typer.BadParameter(f"{which} {has}", param_hint="--part")
         chosen["parts"] = part
-    records = measure(**chosen)
-    print_records(records)
+    with files_in_progress(pictures) as drawn:
+        if drawn is not None:
+            chosen["pictures"] = drawn
+        records = measure(**chosen)
+        too_late_to_stop()
     write_json(json, [record.as_json() for record in records])
+    print_records(records)
 
 
 def _bench_all(out: Path, json: Path | None) -> None:
     from workstation.benchmark_page import run_benchmarks
     from workstation.benchmark_records import print_records
-    from workstation.json_output import write_json
 
     every = [str(one) for one in Benchmark if one is not Benchmark.ALL]
     done = run_benchmarks(every, out)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from devices.bayer import BayerPattern
+from workstation.json_output import JsonOption, write_json
 
 if TYPE_CHECKING:
     from calibration.boards import Chessboard
@@ -161,7 +162,7 @@ def calibrate(
         Path | None, typer.Option(metavar="FILE", help="Write OpenCV's matrices as .yml or .xml.")
     ] = None,
     force: Annotated[bool, typer.Option(help="Replace --out if it exists.")] = False,
-    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write figures here.")] = None,
+    json: JsonOption = None,
 ) -> None:
     """Calibrate camera and projector from sessions of a board, and the light arm from photographs.
 
@@ -183,7 +184,8 @@ def calibrate(
     """
     from workstation.calibration_extras import Extras
     from workstation.calibration_messages import messages_on_lights, messages_on_rig
-    from workstation.json_output import write_json
+    from workstation.files_in_progress import files_in_progress
+    from workstation.interruption import too_late_to_stop
 
     _check_outputs(out, opencv, force=force)
     asked = _lights(spheres, white, sphere_radius, sphere, white_pixel, white_albedo, mosaic,
@@ -200,25 +202,28 @@ def calibrate(
                                  "calibrated rig with --rig")  # fmt: skip
     board = _board(corners, square, square_sigma, marker, dictionary, legacy=legacy)
     models = tuple(_model_name(name) for name in model or ())
-    done, lights, figures = _calibrate_all(
-        sessions,
-        board,
-        extras,
-        models=models,
-        board_shape=board_shape,
-        compensate_phases=not raw_phases,
-        held_out=held_out,
-        known_mm=None if baseline is None else (baseline, baseline_sigma),
-        earlier=tuple(earlier or ()),
-        report=report,
-    )
+    with files_in_progress(report) as page:
+        done, lights, figures = _calibrate_all(
+            sessions,
+            board,
+            extras,
+            models=models,
+            board_shape=board_shape,
+            compensate_phases=not raw_phases,
+            held_out=held_out,
+            known_mm=None if baseline is None else (baseline, baseline_sigma),
+            earlier=tuple(earlier or ()),
+            report=page,
+        )
+        too_late_to_stop()
     write_json(json, figures)
+    if done.gates.passed:
+        _write(done, lights, asked, figures, out, opencv, force=force)
     _say(messages_on_rig(done))
     if lights is not None:
         _say(messages_on_lights(lights))
     _say_where(report)
     done.gates.refuse()
-    _write(done, lights, asked, figures, out, opencv, force=force)
 
 
 def _lights(
@@ -320,6 +325,8 @@ def _calibrate_lights_alone(
     from calibration.rig_geometry import RigGeometry
     from workstation.calibration_messages import messages_on_lights
     from workstation.calibration_report import write_light_report
+    from workstation.files_in_progress import files_in_progress
+    from workstation.interruption import too_late_to_stop
     from workstation.progress import progress
 
     assert extras.lights is not None  # by the check of the options
@@ -331,8 +338,10 @@ def _calibrate_lights_alone(
 
         lights = extras.lights.calibrate(RigGeometry.load(rig), begin=begin)
         figures = {"light_arm": lights.figures()}
-        if report is not None:
-            write_light_report(lights, extras.sections(lights), report)
+        with files_in_progress(report) as page:
+            if page is not None:
+                write_light_report(lights, extras.sections(lights), page)
+            too_late_to_stop()
     if out is not None:
         with folder_in_progress(out, replace=force) as folder:
             extras.lights.write(lights, folder)
@@ -403,7 +412,6 @@ def _write(
 ) -> None:
     from acquisition.atomic_files import folder_in_progress
     from workstation.calibration_figures import FIGURES_FILE
-    from workstation.json_output import write_json
 
     if out is not None:
         with folder_in_progress(out, replace=force) as folder:

@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from workstation.json_output import JsonOption, write_json
+
 
 class Size(StrEnum):
     """Those of :class:`workstation.demo_recording.DemoSize`, without what importing that takes."""
@@ -28,7 +30,7 @@ def demo(
         Size, typer.Option(help="A tiny one has small pictures, and a rig that is declared.")
     ] = Size.USUAL,
     force: Annotated[bool, typer.Option(help="Replace the folder if it exists.")] = False,
-    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write figures here.")] = None,
+    json: JsonOption = None,
 ) -> None:
     """Digitise a simulated painting, from a board and mirror spheres to a copy and its report.
 
@@ -43,7 +45,7 @@ def demo(
     from acquisition.errors import SessionError
     from workstation.demo_job import EXPECTED_S, REPORT_FILE, run_demo
     from workstation.demo_recording import DemoSize
-    from workstation.json_output import write_json
+    from workstation.interruption import too_late_to_stop
     from workstation.stage_progress import clock_text, stage_progress
 
     if out.exists() and not (force and (out / REPORT_FILE).is_file()):
@@ -54,6 +56,7 @@ def demo(
         folder_in_progress(out, replace=force) as folder,
     ):
         figures = run_demo(folder, chosen, seed=seed, begin=steps.begin, done=steps.done)
+        too_late_to_stop()
     truth, held = figures["truth"], figures["reflectance"]["held_out"]
     typer.echo(
         f"height error {truth['height_rms_mm'] * 1000:.1f} µm RMS, predicted "

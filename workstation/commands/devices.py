@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from workstation.json_output import JsonOption, write_json
+
 if TYPE_CHECKING:
     from devices.probing import Probe
     from devices.search import Search
@@ -27,7 +29,7 @@ def devices(
         float,
         typer.Option(min=0.1, max=86400, metavar="SECONDS", help="Time for each driver or device."),
     ] = 30.0,
-    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write figures here.")] = None,
+    json: JsonOption = None,
 ) -> None:
     """Search for devices with every driver, or open and probe those of a rig.
 
@@ -46,7 +48,6 @@ def devices(
 
 def _search(limit_s: float, json: Path | None) -> None:
     from devices.search import SEARCHED, search
-    from workstation.json_output import write_json
     from workstation.progress import progress
 
     results: list[Search] = []
@@ -94,7 +95,6 @@ def _probe(rig: Path, limit_s: float, json: Path | None) -> None:
     from devices.errors import DeviceError
     from devices.probing import probe
     from devices.rig_file import read_rig_file
-    from workstation.json_output import write_json
     from workstation.progress import progress
 
     rig_file = read_rig_file(rig)

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from workstation.json_output import JsonOption, write_json
 from workstation.view_options import BudgetOption, ModeOption, parse_mode, parse_size
 
 
@@ -30,7 +31,7 @@ def gallery(
         bool, typer.Option("--video", help="Write a video beside the frames.")
     ] = False,
     fps: Annotated[float, typer.Option(min=1, max=240, help="Of the video.")] = 24.0,
-    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write figures here.")] = None,
+    json: JsonOption = None,
 ) -> None:
     """Render a walk along a wall of framed copies, each under a lamp of its own.
 
@@ -50,7 +51,7 @@ def gallery(
     from render.painter import Painter
     from render.picture_files import write_picture
     from render.video_files import video_file
-    from workstation.json_output import write_json
+    from workstation.interruption import too_late_to_stop
     from workstation.progress import progress
 
     width, height = parse_size(size)
@@ -86,6 +87,7 @@ def gallery(
             seconds = round(time.perf_counter() - started, 4)
             figures.append({"frame": file, "seconds": seconds})
             steps.advance()
+        too_late_to_stop()
     typer.echo(str(out))
     write_json(json, {"frames": figures, "video": film.path.name if film else None})
 

@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from workstation.json_output import JsonOption, write_json
+
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
@@ -20,7 +22,7 @@ def import_capture(
         Path, typer.Option(help="Description of the files (see docs/file-formats.md).")
     ],
     out: Annotated[Path, typer.Option(metavar="SESSION", help="Session folder to make.")],
-    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write figures here.")] = None,
+    json: JsonOption = None,
 ) -> None:
     """Import a scan made by other software as a session.
 
@@ -36,7 +38,7 @@ def import_capture(
     from acquisition.foreign_capture import find_capture, record_capture
     from acquisition.session import Session
     from calibration.opencv_files import read_rig_geometry
-    from workstation.json_output import write_json
+    from workstation.interruption import too_late_to_stop
     from workstation.progress import progress
 
     description = read_description(capture)
@@ -66,6 +68,7 @@ def import_capture(
             calibration=Path(stage) if rig is not None else None,
             advance=lambda _: steps.advance(),
         )
+        too_late_to_stop()
     session = Session.open(out)
     typer.echo(f"{out}: {len(session.plan.frames)} frames")
     write_json(json, {"frames": len(session.plan.frames), "digest": session.digest})

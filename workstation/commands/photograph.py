@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from workstation.json_output import JsonOption, write_json
+
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
@@ -64,7 +66,7 @@ def photograph(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say frames, time and disk needed; record nothing.")
     ] = False,
-    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write figures here.")] = None,
+    json: JsonOption = None,
 ) -> None:
     """Photograph under the light arm into a session, which can be resumed if it is cut off.
 
@@ -80,7 +82,6 @@ def photograph(
     from acquisition.photograph_plan import PhotographChoices, plan_photographs
     from devices.rig_file import read_rig_file
     from workstation.confirmation import confirm_at_desk
-    from workstation.json_output import write_json
     from workstation.recording import describe_plan, record_session
 
     choices = PhotographChoices(

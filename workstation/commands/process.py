@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from devices.bayer import BayerPattern
+from workstation.json_output import JsonOption, write_json
 
 if TYPE_CHECKING:
     from workstation.processing import ProcessingOptions
@@ -84,7 +85,7 @@ def process(
     ] = None,
     cell: Annotated[int, typer.Option(min=1, help="Edge of a relief box in texels.")] = 20,
     force: Annotated[bool, typer.Option(help="Replace the copy if it exists.")] = False,
-    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write figures here.")] = None,
+    json: JsonOption = None,
 ) -> None:
     """Turn a scan session into a digital copy, and a picture of its relief beside it.
 
@@ -109,7 +110,6 @@ def process(
         raise typer.BadParameter("--lp has pictures of its own; leave --photographs out")
     if ggx and lp is None and photographs is None:
         raise typer.BadParameter("--ggx converts reflectance: name --photographs or --lp")
-    from workstation.json_output import write_json
 
     choices = _Choices(quality, seed, delta0, cell, pitch, mosaic, keep_normals, ggx, exact_maps)
     if lp is not None:
@@ -170,16 +170,10 @@ def _options(choices: _Choices) -> ProcessingOptions:
         relief=ReliefOptions(delta0_mm=choices.delta0, cell=choices.cell),
         pitch_mm=choices.pitch,
     )
-    reflectance = chosen.reflectance
     if choices.keep_normals:
-        maps = replace(reflectance.maps, refine_normals=False)
-        reflectance = replace(reflectance, maps=maps)
-    return replace(
-        chosen,
-        surface=surface,
-        photographs=PhotographOptions(mosaic=choices.mosaic),
-        reflectance=reflectance,
-    )
+        chosen = chosen.with_maps(refine_normals=False)
+    photographs = PhotographOptions(mosaic=choices.mosaic)
+    return replace(chosen, surface=surface, photographs=photographs)
 
 
 def _request(inputs: _Inputs, choices: _Choices) -> str:
@@ -214,7 +208,7 @@ def _process_scan(
     from acquisition.session import Session
     from workstation.copy_writing import check_copy_destination, write_processed, write_run
     from workstation.expected_time import expected_seconds
-    from workstation.interruption import interruption_held
+    from workstation.interruption import too_late_to_stop
     from workstation.processing import add_photographs, process_session
     from workstation.quality import Quality, describe
     from workstation.stage_cache import StageCache
@@ -245,10 +239,10 @@ def _process_scan(
         steps.begin("writing the copy")
         expectation = {"quality": str(quality), "expected_seconds": expected}
         figures = done.figures | expectation
-        with interruption_held():
-            write_processed(done, out, ggx=choices.ggx, exact_maps=choices.exact_maps)
-            write_run(done, out, expectation)
-            note_written(out, kept, request, figures)
+        too_late_to_stop()
+        write_processed(done, out, ggx=choices.ggx, exact_maps=choices.exact_maps)
+        write_run(done, out, expectation)
+        note_written(out, kept, request, figures)
     for warning in done.warnings:
         typer.echo(f"warning: {warning}", err=True)
     _say_heights(figures, out, current=False)
@@ -286,6 +280,7 @@ def _process_pictures(
 ) -> dict[str, Any]:
     from fitting.copy_files import check_destination
     from workstation.copy_writing import write_pictured
+    from workstation.interruption import too_late_to_stop
     from workstation.light_only_processing import process_light_only
     from workstation.progress import progress
 
@@ -301,6 +296,7 @@ def _process_pictures(
             lp, pitch_mm=pitch_mm, linear=linear, options=options.reflectance, begin=begin
         )
         begin("writing the copy")
+        too_late_to_stop()
         write_pictured(*(copy, out, comparisons), ggx=ggx, exact_maps=exact_maps, replace=force)
     rows, cols = figures["shape"]
     typer.echo(f"{out}: {cols} × {rows} texels under {len(copy.provenance['pictures'])} lights")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from workstation.json_output import JsonOption, write_json
 from workstation.view_options import (
     BudgetOption,
     FieldOfViewOption,
@@ -57,7 +58,7 @@ def render(
     ] = 0.002,
     budget: BudgetOption = 0.25,
     shadows: ShadowsOption = False,
-    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write figures here.")] = None,
+    json: JsonOption = None,
 ) -> None:
     """Render a digital copy.
 
@@ -73,7 +74,7 @@ def render(
     from render.painter import Painter, RenderedImage
     from render.picture_files import check_picture_path, write_picture, write_picture_table
     from render.views import NamedView, parse_view
-    from workstation.json_output import write_json
+    from workstation.interruption import too_late_to_stop
     from workstation.progress import progress
 
     width, height = parse_size(size)
@@ -113,14 +114,16 @@ def render(
                 {"mode": str(mode), "view": view, "seconds": seconds, "covered_share": covered}
             )
             steps.advance()
+            if len(figures) == len(modes) * len(views):
+                too_late_to_stop()
             return picture
 
         if single:
             write_picture(paint(modes[0], views[0]), out, exposure=exposure)
         else:
             write_picture_table(paint, modes, views, out, exposure=exposure)
-    typer.echo(str(out))
     write_json(json, figures)
+    typer.echo(str(out))
 
 
 def _parse_modes(mode: str) -> list[Mode]:

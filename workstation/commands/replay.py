@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from workstation.json_output import JsonOption, write_json
+
 if TYPE_CHECKING:
     from acquisition.session import Session
 
@@ -19,7 +21,7 @@ def register(app: typer.Typer) -> None:
 def replay(
     session: Annotated[Path, typer.Argument(metavar="SESSION", help="A recorded session.")],
     out: Annotated[Path, typer.Option(metavar="NEW", help="Session folder to make.")],
-    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write figures here.")] = None,
+    json: JsonOption = None,
 ) -> None:
     """Run a session's recording again, with devices that answer from its frames.
 
@@ -36,7 +38,7 @@ def replay(
     from acquisition.session import Session
     from acquisition.session_writer import SessionWriter
     from devices.replay import replay_rig
-    from workstation.json_output import write_json
+    from workstation.interruption import too_late_to_stop
     from workstation.progress import progress
 
     if out.exists():
@@ -70,6 +72,7 @@ def replay(
                 f"{session} does not replay as it was recorded: {', '.join(changed)} came out "
                 "otherwise; frames with the same samples would be the same"
             )
+        too_late_to_stop()
     digest = Session.open(out).digest
     identical = digest == source.digest
     typer.echo(

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from workstation.json_output import JsonOption, write_json
+
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
@@ -22,7 +24,7 @@ def resume(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say what is missing; record nothing.")
     ] = False,
-    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write figures here.")] = None,
+    json: JsonOption = None,
 ) -> None:
     """Go on with a scan or photographs, after whatever cut them off.
 
@@ -39,7 +41,6 @@ def resume(
     from acquisition.session_writer import SessionWriter
     from devices.rig_file import read_rig_file
     from workstation.confirmation import confirm_at_desk
-    from workstation.json_output import write_json
     from workstation.recording import finish_session, keeping_its_place, report_session
 
     so_far = open_for_replay(session)

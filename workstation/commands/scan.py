@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from workstation.json_output import JsonOption, write_json
+
 if TYPE_CHECKING:
     from acquisition.plan import Metering
     from acquisition.projector_response import ProjectorResponse
@@ -99,7 +101,7 @@ def scan(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say frames, time and disk needed; record nothing.")
     ] = False,
-    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write figures here.")] = None,
+    json: JsonOption = None,
 ) -> None:
     """Scan with structured light into a session, which can be resumed if it is cut off.
 
@@ -122,7 +124,6 @@ def scan(
     from acquisition.scan_plan import whole_periods
     from devices.rig_file import read_rig_file
     from workstation.confirmation import confirm_at_desk
-    from workstation.json_output import write_json
     from workstation.recording import describe_plan, record_session
 
     metering = None if no_skip else _metering(target_px, target_mm, calibration)

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from workstation.json_output import JsonOption, write_json
 from workstation.view_options import (
     BudgetOption,
     FieldOfViewOption,
@@ -40,9 +41,7 @@ def view(
     exposure: Annotated[float, typer.Option(help="Factor on the radiance.")] = 1.0,
     budget: BudgetOption = 0.25,
     shadows: ShadowsOption = False,
-    json: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write what was shown last here.")
-    ] = None,
+    json: JsonOption = None,
 ) -> None:
     """Look at a digital copy in a window.
 
@@ -61,7 +60,6 @@ def view(
     from render.viewer_state import ViewerState
     from render.views import parse_view
     from workstation.interruption import stop_if_requested
-    from workstation.json_output import write_json
 
     width, height = parse_size(size)
     state = ViewerState(

@@ -1,0 +1,76 @@
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+
+from devices.errors import ImpastoError
+from workstation.benchmarks import interruptions
+from workstation.benchmarks.interruptions import Command, interrupt, spread_moments
+
+# A command that takes its time, and writes two files at its end; {late} is what it does on SIGINT.
+WORK = """
+import signal, sys, time
+from pathlib import Path
+folder = Path(sys.argv[1])
+def stop(number, frame):
+    {late}
+    sys.exit(130)
+signal.signal(signal.SIGINT, stop)
+until = time.monotonic() + 0.3
+while time.monotonic() < until:
+    time.sleep(0.01)
+(folder / "a").write_text("whole")
+(folder / "b").write_text("whole")
+"""
+
+
+def check(folder):
+    for name in ("a", "b"):
+        if (folder / name).read_text() != "whole":
+            raise ImpastoError(f"{name} is half")
+
+
+def interrupted(tmp_path, monkeypatch, late, times=6):
+    words = [sys.executable, "-S", "-c", WORK.format(late=late)]
+    monkeypatch.setattr(interruptions, "IMPASTO", words)
+    return interrupt(Command("made up", lambda folder: [str(folder)], check), tmp_path, times=times)
+
+
+def test_a_command_that_leaves_nothing_is_found_to(tmp_path, monkeypatch):
+    done = interrupted(tmp_path, monkeypatch, "pass")
+    assert done.wrong == []
+    assert len(done.moments_s) == 6
+    # Over all of the run time, in equal parts of it.
+    assert min(done.moments_s) < done.lasting_s / 3
+    assert max(done.moments_s) > done.lasting_s / 2
+
+
+@pytest.mark.parametrize(
+    ("late", "said"),
+    [
+        ('(folder / "a").write_text("whole")', "left a"),
+        ('[(folder / n).write_text("half") for n in "ab"]', "a is half"),
+        ("sys.exit(1)", "ended with 1"),
+        ('[(folder / n).write_text("whole") for n in "abc"]', "left a, b, c"),
+    ],
+)
+def test_what_is_left_half_is_found(tmp_path, monkeypatch, late, said):
+    monkeypatch.setattr(interruptions, "_LOADING_S", 0.0)
+    done = interrupted(tmp_path, monkeypatch, late, times=4)
+    # Struck before it listens to the signal, the interpreter ends by itself.
+    assert len(done.wrong) >= 2
+    assert all(said in wrong for wrong in done.wrong)
+
+
+def test_a_command_that_fails_by_itself_is_told(tmp_path, monkeypatch):
+    monkeypatch.setattr(interruptions, "IMPASTO", [sys.executable, "-S", "-c", "1 / 0"])
+    done = interrupt(Command("made up", lambda folder: [], check), tmp_path, times=3)
+    assert "ZeroDivisionError" in done.wrong[0]
+    assert done.moments_s == []
+
+
+def test_moments_are_spread_over_all_of_the_time():
+    found = np.sort(spread_moments(50, 10.0, np.random.default_rng(0)))
+    assert (found // 0.2 == np.arange(50)).all()
