@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from fitting.digital_copy import DigitalCopy
 from fitting.height_field import HeightField
 from render.errors import RenderError
-from render.exact import EXACT_SHADERS, exact_doubles
+from render.exact import NEARLY_EXACT_SHADERS, exact_doubles
 from render.height_pyramid import Heading
 from render.opengl import GL
 from render.painting_maps import PaintingMaterial
@@ -254,7 +254,7 @@ class BoundedPrimitive(PaintingPrimitive):
         needs = self._shape.needs(eye, pixel_angle, self._budget_px)
         self._search = needs.search
         if needs.search is Search.EXACT:
-            self.shaders, self._culled = EXACT_SHADERS, GL.GL_FRONT
+            self.shaders, self._culled = NEARLY_EXACT_SHADERS, GL.GL_FRONT
             self._uniforms, self._doubles = {}, self._exact_doubles
             return
         self.shaders = _shaders(needs.search, triangles=needs.triangle_share > 0)

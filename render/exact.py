@@ -11,7 +11,9 @@ from render.painting_maps import PaintingMaterial
 from render.painting_primitive import PaintingPrimitive
 from render.surface_shapes import bounds, box, cell_bounds
 
-EXACT_SHADERS = ("plain.vert", "exact.frag", "")
+EXACT_SHADERS = ("plain.vert", "exact.frag", "PRECISE")
+NEARLY_EXACT_SHADERS = ("plain.vert", "exact.frag", "")
+"""The same in single precision: now and then a ray along a silhouette takes its other side."""
 
 
 def exact_primitive(copy: DigitalCopy, material: PaintingMaterial) -> PaintingPrimitive:
@@ -27,10 +29,11 @@ def exact_primitive(copy: DigitalCopy, material: PaintingMaterial) -> PaintingPr
 
 
 def exact_doubles(copy: DigitalCopy) -> dict[str, NDArray[np.float64]]:
-    """What the exact search needs in double precision: the box of the cells, and their origin."""
+    """What the exact search needs in double precision: the box of the cells, origin and pitch."""
     low, high = cell_bounds(copy)
     return {
         "cells_low": low,
         "cells_high": high,
         "first_texel": np.array(copy.height_field.origin_mm),
+        "pitch": np.array(copy.height_field.pitch_mm),
     }

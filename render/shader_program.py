@@ -105,11 +105,11 @@ class PaintingProgram:
             GL.glUniformMatrix4fv(location, 1, GL.GL_TRUE, matrix)
 
     def set_double(self, name: str, value: NDArray[np.float64]) -> None:
-        """Set a uniform of two or three doubles."""
+        """Set a uniform of one, two or three doubles."""
         location = self._location(name)
         if location >= 0:
-            setter = {2: GL.glUniform2d, 3: GL.glUniform3d}[len(value)]
-            setter(location, *(float(number) for number in value))
+            setter = {1: GL.glUniform1d, 2: GL.glUniform2d, 3: GL.glUniform3d}[value.size]
+            setter(location, *(float(number) for number in value.flat))
 
     def uses(self, name: str) -> bool:
         """Whether the shaders read a uniform."""

@@ -9,6 +9,7 @@ uniform dvec3 ray_dy;
 uniform dvec3 cells_low;
 uniform dvec3 cells_high;
 uniform dvec2 first_texel;     // X and Y of the centre of texel [0, 0], mm
+uniform double pitch;          // mm, from texel to texel
 
 void main() {
     dvec3 towards = normalize(ray_corner + gl_FragCoord.x * ray_dx + gl_FragCoord.y * ray_dy);
@@ -24,22 +25,24 @@ void main() {
     double leave = min(min(last.x, last.y), last.z);
     if (entry > leave) MISS(0);
     dvec3 from = eye + entry * towards;
-    dvec3 start = dvec3((from.x - first_texel.x) / texel, (first_texel.y - from.y) / texel, from.z);
-    dvec3 along = towards * dvec3(1.0 / texel, -1.0 / texel, 1.0);
+    dvec3 start = dvec3((from.x - first_texel.x) / pitch, (first_texel.y - from.y) / pitch, from.z);
+    dvec3 along = towards * dvec3(1.0 / pitch, -1.0 / pitch, 1.0);
     int steps;
     ivec2 cell;
-    vec3 triangle;
-    float hit = first_hit(
-        Ray(start, vec3(start), vec3(along), float(leave - entry)), steps, cell, triangle
+    real3 triangle;
+    real hit = first_hit(
+        Ray(start, real3(start), real3(along), real(leave - entry)), steps, cell, triangle
     );
     if (hit < 0.0) MISS(steps);
-    // Along a triangle that is seen edge-on single precision is too little again.
     dvec3 found = start + double(hit) * along;
+#ifndef PRECISE
+    // Along a triangle that is seen edge-on single precision is too little again.
     double clearance = found.z - triangle.x - dot(dvec2(triangle.yz), found.xy - dvec2(cell));
     double fall = along.z - dot(dvec2(triangle.yz), along.xy);
     if (fall < 0.0) found -= clamp(clearance / fall, -0.2, 0.2) * along;
+#endif
     vec3 place = vec3(found);
-    vec3 p = vec3(dvec2(first_texel) + dvec2(place.x, -place.y) * texel, place.z);
+    vec3 p = vec3(first_texel + dvec2(found.x, -found.y) * pitch, found.z);
     vec2 uv = (place.xy + 0.5) / vec2(pyramid_cells + 1);
     float level = level_of_detail(p);
     gl_FragDepth = depth_of(p);

@@ -12,11 +12,11 @@ float unshadowed(vec3 point, vec3 to_light) {
     // relief, and cast no shadow.
     vec4 corners = corners_of(cell);
     bvec4 missing = lessThan(corners, vec4(0.5 * UNMEASURED));
-    vec3 triangle;
+    real3 triangle;
     vec3 from = vec3(place, point.z + shadow_lift);
-    if (triangle_at(corners, missing, place - vec2(cell), triangle)) {
+    if (triangle_at(real4(corners), missing, real2(place - vec2(cell)), triangle)) {
         float twist = any(missing) ? 0.0 : 0.5 * abs(corners.x - corners.y - corners.z + corners.w);
-        float surface = triangle.x + dot(triangle.yz, place - vec2(cell));
+        float surface = float(triangle.x + dot(triangle.yz, real2(place - vec2(cell))));
         from.z = max(point.z, surface + twist) + shadow_lift;
     }
     vec3 along = to_light * vec3(1.0, -1.0, texel) / texel;
@@ -29,5 +29,6 @@ float unshadowed(vec3 point, vec3 to_light) {
     }
     if (leave <= 0.0) return 1.0;
     int steps;
-    return first_hit(Ray(dvec3(from), from, along, leave), steps, cell, triangle) < 0.0 ? 1.0 : 0.0;
+    Ray ray = Ray(dvec3(from), real3(from), real3(along), real(leave));
+    return first_hit(ray, steps, cell, triangle) < 0.0 ? 1.0 : 0.0;
 }

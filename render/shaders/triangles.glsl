@@ -1,5 +1,19 @@
 // Search of a ray for the triangles between texels, through a pyramid of least and greatest heights
 // (Tevs, Ihrke, Seidel, I3D 2008).
+//
+// PRECISE counts in double precision: along a silhouette single precision takes the wrong side of it
+// now and then, and shows what lies behind.
+#ifdef PRECISE
+#define real double
+#define real2 dvec2
+#define real3 dvec3
+#define real4 dvec4
+#else
+#define real float
+#define real2 vec2
+#define real3 vec3
+#define real4 vec4
+#endif
 uniform sampler2D pyramid_heights;  // mm; UNMEASURED where nothing was measured
 uniform sampler2D pyramid;  // least and greatest height of squares of cells; UNMEASURED if any is
 uniform ivec2 pyramid_cells;
@@ -15,79 +29,80 @@ vec4 corners_of(ivec2 cell) {
 bool diagonal_falls(bvec4 missing) { return !(missing.y || missing.z); }
 
 // The triangle at a place in a cell, as its height at the cell's first corner, and slopes.
-bool triangle_at(vec4 corners, bvec4 missing, vec2 place, out vec3 triangle) {
-    float a = corners.x, b = corners.y, c = corners.z, d = corners.w;
+bool triangle_at(real4 corners, bvec4 missing, real2 place, out real3 triangle) {
+    real a = corners.x, b = corners.y, c = corners.z, d = corners.w;
     if (diagonal_falls(missing)) {
         if (place.x + place.y < 1.0) {
-            triangle = vec3(a, b - a, c - a);
+            triangle = real3(a, b - a, c - a);
             return !missing.x;
         }
-        triangle = vec3(b + c - d, d - c, d - b);
+        triangle = real3(b + c - d, d - c, d - b);
         return !missing.w;
     }
     if (place.x > place.y) {
-        triangle = vec3(a, b - a, d - b);
+        triangle = real3(a, b - a, d - b);
         return !(missing.x || missing.y || missing.w);
     }
-    triangle = vec3(a, d - c, c - a);
+    triangle = real3(a, d - c, c - a);
     return !(missing.x || missing.z || missing.w);
 }
 
 // Places of a ray: texels to the right, texels down, mm towards the viewer.
-struct Ray { dvec3 start; vec3 from; vec3 along; float length; };
+struct Ray { dvec3 start; real3 from; real3 along; real length; };
 
 // First crossing from above within the two triangles of a cell, between two places of the ray;
 // below zero where there is none. `above` tells whether the ray came to the cell above its surface.
 // The triangle is its height at the cell's first corner, and slopes.
-float hit_in_cell(
-    Ray ray, ivec2 cell, float enter, float leave, inout bool above, out vec3 triangle
+real hit_in_cell(
+    Ray ray, ivec2 cell, real enter, real leave, inout bool above, out real3 triangle
 ) {
-    vec4 corners = corners_of(cell);
-    bvec4 missing = lessThan(corners, vec4(0.5 * UNMEASURED));
+    vec4 heights = corners_of(cell);
+    bvec4 missing = lessThan(heights, vec4(0.5 * UNMEASURED));
+    real4 corners = real4(heights);
     bool falling = diagonal_falls(missing);
-    vec2 start = vec2(ray.start.xy - dvec2(cell));
-    float turn = falling ? ray.along.x + ray.along.y : ray.along.x - ray.along.y;
-    float side = falling ? start.x + start.y - 1.0 : start.x - start.y;
-    float split = turn != 0.0 ? -side / turn : leave;
+    real2 start = real2(ray.start.xy - dvec2(cell));
+    real turn = falling ? ray.along.x + ray.along.y : ray.along.x - ray.along.y;
+    real side = falling ? start.x + start.y - 1.0 : start.x - start.y;
+    real split = turn != 0.0 ? -side / turn : leave;
     bool splits = split > enter && split < leave;
     for (int part = 0; part < 2; ++part) {
         if (part == 1 && !splits) break;
-        float t0 = part == 0 ? enter : split;
-        float t1 = part == 0 && splits ? split : leave;
-        vec2 middle = start + 0.5 * (t0 + t1) * ray.along.xy;
-        vec3 h;
+        real t0 = part == 0 ? enter : split;
+        real t1 = part == 0 && splits ? split : leave;
+        real2 middle = start + 0.5 * (t0 + t1) * ray.along.xy;
+        real3 h;
         bool there = triangle_at(corners, missing, middle, h);
         if (!there) { above = false; continue; }
-        vec2 g0 = start + t0 * ray.along.xy, g1 = start + t1 * ray.along.xy;
-        float c0 = ray.from.z + t0 * ray.along.z - (h.x + dot(h.yz, g0));
-        float c1 = ray.from.z + t1 * ray.along.z - (h.x + dot(h.yz, g1));
+        real2 g0 = start + t0 * ray.along.xy, g1 = start + t1 * ray.along.xy;
+        real c0 = ray.from.z + t0 * ray.along.z - (h.x + dot(h.yz, g0));
+        real c1 = ray.from.z + t1 * ray.along.z - (h.x + dot(h.yz, g1));
         if ((above || c0 >= 0.0) && c1 < 0.0) {
             triangle = h;
             return t0 + (t1 - t0) * clamp(c0 / (c0 - c1), 0.0, 1.0);
         }
         above = c1 >= 0.0;
     }
-    return -1.0;
+    return real(-1.0);
 }
 
 // Place of the first hit along the ray; below zero where there is none.
-float first_hit(Ray ray, out int steps, out ivec2 cell, out vec3 triangle) {
+real first_hit(Ray ray, out int steps, out ivec2 cell, out real3 triangle) {
     cell = clamp(ivec2(floor(ray.from.xy)), ivec2(0), pyramid_cells - 1);
-    ivec2 forward = ivec2(greaterThan(ray.along.xy, vec2(0.0)));
-    bvec2 moves = notEqual(ray.along.xy, vec2(0.0));
-    float t = 0.0;
+    ivec2 forward = ivec2(greaterThan(ray.along.xy, real2(0.0)));
+    bvec2 moves = notEqual(ray.along.xy, real2(0.0));
+    real t = 0.0;
     bool above = false;
     int level = pyramid_top;
     for (steps = 0; steps < 16384; ++steps) {
         ivec2 low = (cell >> level) << level;
         ivec2 high = min(low + (1 << level), pyramid_cells);
-        vec2 border = vec2(mix(low, high, equal(forward, ivec2(1)))) - ray.from.xy;
-        vec2 reached = vec2(
+        real2 border = real2(mix(low, high, equal(forward, ivec2(1)))) - ray.from.xy;
+        real2 reached = real2(
             moves.x ? border.x / ray.along.x : 1e30, moves.y ? border.y / ray.along.y : 1e30
         );
-        float leave = clamp(min(reached.x, reached.y), t, ray.length);
+        real leave = clamp(min(reached.x, reached.y), t, ray.length);
         vec2 heights = texelFetch(pyramid, cell >> level, level).xy;
-        float z0 = ray.from.z + t * ray.along.z, z1 = ray.from.z + leave * ray.along.z;
+        real z0 = ray.from.z + t * ray.along.z, z1 = ray.from.z + leave * ray.along.z;
         if (min(z0, z1) > heights.y) {
             above = heights.x > 0.5 * UNMEASURED;
         } else if (max(z0, z1) < heights.x) {
@@ -96,7 +111,7 @@ float first_hit(Ray ray, out int steps, out ivec2 cell, out vec3 triangle) {
             --level;
             continue;
         } else {
-            float hit = hit_in_cell(ray, cell, t, leave, above, triangle);
+            real hit = hit_in_cell(ray, cell, t, leave, above, triangle);
             if (hit >= 0.0) return hit;
         }
         if (leave >= ray.length) break;
@@ -110,5 +125,5 @@ float first_hit(Ray ray, out int steps, out ivec2 cell, out vec3 triangle) {
         // Up again only where a larger square was left.
         if (level < pyramid_top && (before >> (level + 1)) != (cell >> (level + 1))) ++level;
     }
-    return -1.0;
+    return real(-1.0);
 }

@@ -90,7 +90,8 @@ def test_a_view_along_the_surface_is_searched_exactly(painter, copy):
     ):
         parallax, differs = parallax_px(painter, copy, view)
         assert not differs.any()
-        assert np.nanmax(parallax, initial=0.0) == 0.0
+        # In single precision.
+        assert np.nanmax(parallax, initial=0.0) < 1e-4
 
 
 def test_needs_change_from_a_plane_to_a_search_as_the_camera_nears(copy):

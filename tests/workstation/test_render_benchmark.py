@@ -5,8 +5,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from synthetic_copy import make_copy, strokes
+from triangle_rays import meet_triangles
 
 from render.painting_node import Mode
+from render.surface_shapes import surface_triangles
 from render.views import NamedView, View
 from workstation.benchmarks.picture_differences import Difference
 from workstation.benchmarks.render import bench
@@ -14,6 +16,7 @@ from workstation.benchmarks.render_bounds import bounded_records, exact_records,
 from workstation.benchmarks.render_budget import halving_record
 from workstation.benchmarks.render_cases import Case, Work, time_ratio
 from workstation.benchmarks.render_path import Popping, switches
+from workstation.benchmarks.render_rays import TriangleRays
 from workstation.benchmarks.render_scenes import OIL, SIZES, RenderedScene
 from workstation.benchmarks.render_tables import table_1
 
@@ -76,6 +79,46 @@ def test_the_first_table_tells_where_its_order_is_not_the_papers():
     assert len(found) == len(NamedView) * (len(Mode) - 1)
     note = found["table1.near-front.adaptive_over_mesh"].note
     assert "fastest to slowest relief, adaptive, hybrid, mesh, the paper's mesh" in note
+
+
+def rough_triangles():
+    random = np.random.default_rng(1)
+    height = strokes(40, 50) + 0.3 * random.standard_normal((40, 50))
+    copy = make_copy(height, mask=random.random(height.shape) > 0.05)
+    vertices, triangles = surface_triangles(copy)
+    return copy, vertices.astype(np.float64)[triangles]
+
+
+def test_rays_meet_the_triangle_that_is_first_of_all():
+    copy, corners = rough_triangles()
+    rays = TriangleRays(copy.height_field, corners)
+    random = np.random.default_rng(2)
+    met = 0
+    for eye in ([0.0, -30.0, 6.0], [3.0, 1.0, 40.0], [0.0, 0.0, 1.5], [2.0, 5.0, -20.0]):
+        aimed = random.uniform([-14, -11, -1], [14, 11, 2], (30, 3)) - eye
+        for ray, found in zip(aimed, rays.first_front_faces(np.array(eye), aimed), strict=True):
+            t, inside, facing = meet_triangles(np.array(eye), ray, corners)
+            first = t[inside & facing].min(initial=np.inf)
+            assert np.isfinite(first) == np.isfinite(found[0])
+            if np.isfinite(first):
+                met += 1
+                assert found == pytest.approx(np.array(eye) + first * ray, abs=1e-9)
+    assert met > 40
+
+
+def test_no_ray_passes_between_triangles_that_share_an_edge():
+    copy = make_copy(strokes(40, 50))
+    vertices, triangles = surface_triangles(copy)
+    corners = vertices.astype(np.float64)[triangles]
+    inner = np.abs(vertices[:, :2]).max(axis=1) < 6
+    ends = vertices[inner].astype(np.float64)
+    along = corners.mean(axis=1, where=np.array([True, True, False])[:, np.newaxis])
+    along = along[np.abs(along[:, :2]).max(axis=1) < 6]
+    eye = np.array([1.0, -2.0, 50.0])
+    rays = np.concatenate([ends, along]) - eye
+    found = TriangleRays(copy.height_field, corners).first_front_faces(eye, rays)
+    assert len(rays) > 800
+    assert np.isfinite(found).all()
 
 
 def test_halving_is_a_slope_of_one():

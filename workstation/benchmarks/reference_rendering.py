@@ -2,7 +2,9 @@
 
 Shares nothing with the shaders but the copy: Embree (I. Wald et al., ACM Trans. Graph. 33(4), 2014)
 says which triangle of the height field a ray meets, double precision says where, and the shading
-is written out again. Front faces alone are seen, as in a mesh whose back is culled.
+is written out again. Front faces alone are seen, as in a mesh whose back is culled. Along a
+silhouette Embree's single precision may take the wrong side: rays that something else disagrees
+about are cast again, in double precision throughout.
 """
 
 from __future__ import annotations
@@ -14,10 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.digital_copy import DigitalCopy
+from fitting.height_field import HeightField
 from render.painter import BACKGROUND, Light
 from render.painting_maps import gaps_from_nearest
 from render.surface_shapes import surface_triangles
 from render.views import View, direction
+from workstation.benchmarks.render_rays import TriangleRays
 
 Floats = NDArray[np.float64]
 
@@ -60,7 +64,8 @@ class Reference:
         from embreex.rtcore_scene import EmbreeScene
 
         vertices, triangles = surface_triangles(copy)
-        self._corners = vertices.astype(np.float64)[triangles]
+        self._corners = _on_grid(vertices, copy.height_field)[triangles]
+        self._rays = TriangleRays(copy.height_field, self._corners)
         self._scene = EmbreeScene()
         # The scene keeps no reference to its mesh.
         self._mesh = TriangleMesh(self._scene, vertices, triangles.astype(np.int32))
@@ -78,13 +83,36 @@ class Reference:
     ) -> ReferencePicture:
         """One ray through the middle of each pixel."""
         rays = pixel_rays(view, width, height)
-        points = self.hits(view.position, rays.reshape(-1, 3))
-        radiance = np.tile(np.array(BACKGROUND), (len(points), 1))
-        hit = np.isfinite(points[:, 0])
+        points = self.hits(view.position, rays.reshape(-1, 3)).reshape(rays.shape)
+        return ReferencePicture(self._radiance(points, view, height, light), points)
+
+    def recast(
+        self,
+        picture: ReferencePicture,
+        where: NDArray[np.bool_],
+        view: View,
+        *,
+        light: Light | None = None,
+    ) -> ReferencePicture:
+        """A picture whose rays at some pixels (rows, cols) are cast again in double precision.
+
+        For rays along an edge, where Embree's single precision decides.
+        """
+        height, width = where.shape
+        points, radiance = picture.points.copy(), picture.radiance.copy()
+        rays = pixel_rays(view, width, height)[where]
+        points[where] = self._rays.first_front_faces(view.position, rays)
+        radiance[where] = self._radiance(points[where], view, height, light)
+        return ReferencePicture(radiance, points)
+
+    def _radiance(self, points: Floats, view: View, height: int, light: Light | None) -> Floats:
+        """Of points (..., 3) that are seen, background where they are NaN."""
+        radiance = np.empty_like(points)
+        radiance[...] = BACKGROUND
+        hit = np.isfinite(points[..., 0])
         pixel_angle = 2 * np.tan(view.field_of_view / 2) / height
         radiance[hit] = self.shade(points[hit], view.position, pixel_angle, light or Light())
-        shape = (height, width, 3)
-        return ReferencePicture(radiance.reshape(shape), points.reshape(shape))
+        return radiance
 
     def hits(self, eye: Floats, rays: Floats) -> Floats:
         """First front face that each ray (n, 3) from the eye meets, (n, 3); NaN for none."""
@@ -121,24 +149,6 @@ class Reference:
             begin[active] = np.maximum(t, begin[active]) + 1e-4
             active = active[~front & np.isfinite(t)]
         return points
-
-    def recast(self, eye: Floats, ray: Floats) -> Floats:
-        """The same for one ray (3,), by every triangle in double precision; (3,).
-
-        For the few rays along an edge, where Embree's single precision decides.
-        """
-        edge1 = self._corners[:, 1] - self._corners[:, 0]
-        edge2 = self._corners[:, 2] - self._corners[:, 0]
-        p = np.cross(ray, edge2)
-        determinant = (edge1 * p).sum(axis=1)
-        from_corner = eye - self._corners[:, 0]
-        q = np.cross(from_corner, edge1)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            u = (from_corner * p).sum(axis=1) / determinant
-            v = (q * ray).sum(axis=1) / determinant
-            t = (edge2 * q).sum(axis=1) / determinant
-        met = (determinant > 0) & (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0)
-        return eye + t[met].min() * ray if met.any() else np.full(3, np.nan)
 
     def shade(self, points: Floats, eye: Floats, pixel_angle: float, light: Light) -> Floats:
         """Radiance (n, 3) that points (n, 3) of the surface send to the eye."""
@@ -180,6 +190,15 @@ def pixel_rays(view: View, width: int, height: int) -> Floats:
     rays = np.empty((height, width, 3))
     rays[..., 0], rays[..., 1], rays[..., 2] = x, y[:, np.newaxis], -1.0
     return rays @ view.pose()[:3, :3].T
+
+
+def _on_grid(vertices: NDArray[np.float32], field: HeightField) -> Floats:
+    """Vertices (n, 3) where they are: single precision has them off the grid by its rounding."""
+    places = vertices.astype(np.float64)
+    first = np.array(field.origin_mm)
+    texels = np.round((places[:, :2] - first) / field.pitch_mm)
+    places[:, :2] = first + texels * field.pitch_mm
+    return places
 
 
 def _map_levels(copy: DigitalCopy) -> dict[str, list[Floats]]:
