@@ -39,8 +39,8 @@ _FINER = 3.0
 # Steps after which a ray is left where it is: where texels are smaller than pixels, for the default
 # budget; and at most, on triangles.
 _STEPS, _MOST_STEPS = 9, 48
-# Steps of the cones longer than is safe, and how near is near enough in budgets: where texels are
-# smaller than pixels, and on triangles.
+# Steps of the cones longer than is safe, for the default budget, and how near is near enough in
+# budgets: where texels are smaller than pixels, and on triangles.
 _RELAXED, _NEAR_ENOUGH = (2.2, 1.2), (0.8, 0.5)
 # Where one way gives way to another: in slopes of nearly all texels over the flattest ray's, and in
 # texels a pixel.
@@ -245,7 +245,7 @@ class BoundedPrimitive(PaintingPrimitive):
             np.concatenate([plane, corners]), triangles, material, _shaders(Search.GRAZING)
         )
         self._shape = SurfaceShape.of(copy.height_field, material.height_levels)
-        self._budget_px = budget_px
+        self._budget_px = float(budget_px)
         self._exact_doubles = exact_doubles(copy)
         self._search = Search.GRAZING
 
@@ -266,7 +266,7 @@ class BoundedPrimitive(PaintingPrimitive):
             "plane_height": needs.plane_mm,
             "top": self._shape.high,
             "most_steps": _most_steps(needs, self._budget_px),
-            "relaxed": _mixed(_RELAXED, needs.triangle_share),
+            "relaxed": _relaxed(needs, self._budget_px),
             "near_enough": _mixed(_NEAR_ENOUGH, needs.triangle_share),
             "grazing_share": needs.grazing_share,
             "triangle_share": needs.triangle_share,
@@ -283,6 +283,12 @@ class BoundedPrimitive(PaintingPrimitive):
 def _most_steps(needs: ViewNeeds, budget_px: float) -> int:
     fewest = min(_STEPS * max(1.0, BUDGET_PX / budget_px), _MOST_STEPS)
     return round(_mixed((fewest, _MOST_STEPS), needs.triangle_share))
+
+
+def _relaxed(needs: ViewNeeds, budget_px: float) -> float:
+    """Steps that are longer than is safe pass over edges, more of them than a small budget has."""
+    longest = _mixed(_RELAXED, needs.triangle_share)
+    return 1 + (longest - 1) * min(budget_px / BUDGET_PX, 1.0)
 
 
 def _share(value: float, ends: tuple[float, float]) -> float:
