@@ -41,7 +41,7 @@ _FINER = 3.0
 _STEPS, _MOST_STEPS = 9, 48
 # Steps of the cones longer than is safe, for the default budget, and how near is near enough in
 # budgets: where texels are smaller than pixels, and on triangles.
-_RELAXED, _NEAR_ENOUGH = (2.2, 1.2), (0.8, 0.5)
+_RELAXED, _NEAR_ENOUGH = (2.2, 1.2), (1.0, 0.5)
 # Where one way gives way to another: in slopes of nearly all texels over the flattest ray's, and in
 # texels a pixel.
 _GRAZING = (0.7, 1.0)
@@ -106,6 +106,8 @@ class SurfaceShape:
         Slope that all but 2 % of the texels keep to, by level of the maps.
     sculpted : bool
         Whether the relief is too deep or too full of gaps to be found from a plane.
+    profiles : two (3, n) arrays
+        X of the columns of texels, and Y of the rows, with the least and greatest height of each.
     """
 
     low: float
@@ -115,6 +117,7 @@ class SurfaceShape:
     pitch_mm: float
     steepest: list[float]
     sculpted: bool
+    profiles: tuple[NDArray[np.float64], NDArray[np.float64]]
 
     @classmethod
     def of(cls, field: HeightField, levels: list[NDArray[np.float32]]) -> SurfaceShape:
@@ -131,7 +134,12 @@ class SurfaceShape:
         corners = (x - half, y + half - height, x - half + width, y + half)
         sculpted = high - low > _DEEP * min(width, height) or field.mask.mean() < _WHOLE
         median = float(np.median(field.height[field.mask]))
-        return cls(low, high, median, corners, field.pitch_mm, steepest, sculpted)
+        heights = levels[0][..., 0]
+        profiles = (
+            np.stack([field.texel_x_mm(), heights.min(axis=0), heights.max(axis=0)]),
+            np.stack([field.texel_y_mm(), heights.min(axis=1), heights.max(axis=1)]),
+        )
+        return cls(low, high, median, corners, field.pitch_mm, steepest, sculpted, profiles)
 
     def needs(self, eye: NDArray[np.float64], pixel_angle: float, budget_px: float) -> ViewNeeds:
         """What is needed seen from a place (3,) of the canvas frame."""
@@ -202,12 +210,13 @@ class SurfaceShape:
     def _seen_on_plane(
         self, x: float, y: float, z: float, plane: float
     ) -> tuple[float, float, float, float]:
-        """Rectangle of a plane that the box around the surface is seen on from (x, y, z)."""
-        x0, y0, x1, y1 = self.corners
-        shares = [(z - plane) / (z - height) for height in (self.low, self.high)]
-        xs = [x + share * (side - x) for share in shares for side in (x0, x1)]
-        ys = [y + share * (side - y) for share in shares for side in (y0, y1)]
-        return min(xs), min(ys), max(xs), max(ys)
+        """Rectangle of a plane that the surface is seen on from (x, y, z), and the plane itself."""
+        ends = []
+        for at, (place, *heights) in zip((x, y), self.profiles, strict=True):
+            seen = [at + (place - at) * (z - plane) / (z - height) for height in heights]
+            ends.append((min(np.min(seen), place.min()), max(np.max(seen), place.max())))
+        (x0, x1), (y0, y1) = ends
+        return float(x0), float(y0), float(x1), float(y1)
 
 
 class BoundedPrimitive(PaintingPrimitive):

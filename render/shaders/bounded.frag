@@ -22,10 +22,14 @@ uniform float grazing_share;     // of the cones, BETWEEN
 uniform float triangle_share;
 const float GAP = -1e30;
 
+// Texture coordinates along the ray, by height.
+struct Track { vec2 start; vec2 drift; };
+vec2 uv_at(Track track, float z) { return track.start + z * track.drift; }
+
 #ifdef TRIANGLES
 // To where the ray meets the triangle below z; unchanged where there is none.
-float onto_triangle(float z, vec2 plane_xy, vec2 drift) {
-    vec2 place = texture_coordinate(plane_xy + z * drift) * vec2(cells + 1) - 0.5;
+float onto_triangle(float z, Track track, vec2 drift) {
+    vec2 place = uv_at(track, z) * vec2(cells + 1) - 0.5;
     vec2 cell = clamp(floor(place), vec2(0.0), vec2(cells - 1));
     vec4 corners = textureGather(height_map, (cell + 1.0) / vec2(cells + 1));
     if (min(min(corners.x, corners.y), min(corners.z, corners.w)) < 0.5 * GAP) return z;
@@ -43,10 +47,10 @@ float onto_triangle(float z, vec2 plane_xy, vec2 drift) {
 #if defined(FRONT) || defined(BETWEEN)
 // Where what the ray passes over is as high as the ray, or nearly.
 float found_from_plane(
-    vec2 plane_xy, vec2 drift, float z, float tolerance, float level, out vec4 relief, out int steps
+    Track track, float z, float tolerance, float level, out vec4 relief, out int steps
 ) {
     for (steps = 0; steps < most_steps; ++steps) {
-        relief = textureLod(relief_map, texture_coordinate(plane_xy + z * drift), level);
+        relief = textureLod(relief_map, uv_at(track, z), level);
         if (abs(z - relief.x) <= tolerance) break;
         z = relief.x;
     }
@@ -56,12 +60,11 @@ float found_from_plane(
 
 #if defined(GRAZING) || defined(BETWEEN)
 // A step that goes too deep is seen by less than a pixel, and the next comes up again.
-float found_by_cones(vec2 plane_xy, vec2 drift, float tolerance, out int steps) {
-    float reach = length(drift);
+float found_by_cones(Track track, float reach, float tolerance, out int steps) {
     float z = top - search_origin;
-    vec2 origin_xy = plane_xy + search_origin * drift;
+    track.start = uv_at(track, search_origin);
     for (steps = 0; steps < most_steps; ++steps) {
-        vec2 found = textureLod(search_map, texture_coordinate(origin_xy + z * drift), 0.0).xy;
+        vec2 found = textureLod(search_map, uv_at(track, z), 0.0).xy;
         float clearance = z - found.x;
         if (abs(clearance) <= tolerance) { z = found.x; break; }
         z -= clearance * min(relaxed / (1.0 + found.y * reach), 1.0);
@@ -77,6 +80,7 @@ void main() {
     float parallax = length(to_plane.xy) / (d2 * pixel_angle);
     float level = level_of_detail(canvas_position);
     vec2 plane_xy = canvas_position.xy - canvas_position.z * drift;
+    Track track = Track(texture_coordinate(plane_xy), drift * vec2(1.0, -1.0) / grid_size);
     float z = canvas_position.z;
     // From where the plane hides its error to where it is off by two budgets.
     float share = clamp(plane_error * parallax / budget - 1.0, 0.0, 1.0);
@@ -85,11 +89,11 @@ void main() {
 #if defined(FRONT) || defined(BETWEEN)
     // Where nothing is to be searched yet, the plane itself is near enough.
     float tolerance = mix(1.0, 0.3, share) * budget / parallax;
-    z = found_from_plane(plane_xy, drift, z, tolerance, level, relief, steps);
+    z = found_from_plane(track, z, tolerance, level, relief, steps);
 #endif
 #if defined(GRAZING) || defined(BETWEEN)
     int more;
-    float lower = found_by_cones(plane_xy, drift, near_enough * budget / parallax, more);
+    float lower = found_by_cones(track, length(drift), near_enough * budget / parallax, more);
     steps += more;
 #ifdef BETWEEN
     z = mix(z, lower, grazing_share);
@@ -98,13 +102,13 @@ void main() {
 #endif
 #endif
 #ifdef TRIANGLES
-    float on_triangle = onto_triangle(z, plane_xy, drift);
-    z = mix(z, onto_triangle(on_triangle, plane_xy, drift), triangle_share);
+    float on_triangle = onto_triangle(z, track, drift);
+    z = mix(z, onto_triangle(on_triangle, track, drift), triangle_share);
 #endif
 #ifndef PLANE
     z = mix(canvas_position.z, z, share);
 #endif
-    vec2 uv = texture_coordinate(plane_xy + z * drift);
+    vec2 uv = uv_at(track, z);
     // What was found from the plane is near enough to be shown; where it gives way, so does this.
 #if defined(BETWEEN)
     relief = mix(relief, textureLod(relief_map, uv, level), max(grazing_share, triangle_share));
