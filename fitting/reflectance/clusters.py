@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from fitting.errors import FittingError
 from fitting.reflectance.lobe import LafortuneLobes
-from fitting.reflectance.materials import Material, material_table
+from fitting.reflectance.materials import Material, material_table, shape_bounds
 from fitting.reflectance.pooled_kernels import cost_under_materials
+from fitting.reflectance.priors import learn_prior, with_varying_lobe
 from fitting.reflectance.samples import RadianceSamples
 from fitting.reflectance.selection import choose_material, held_out_errors, predicts_better
 from fitting.reflectance.solver import DEFAULT_OPTIONS, SolverOptions, TexelFits, fit_texels
@@ -110,11 +111,12 @@ def find_materials(
             "the normals turned inwards?"
         )
     rng = np.random.default_rng(chosen.seed)
-    survey = samples.take(rng.permutation(usable)[: chosen.survey])
+    survey = samples.take(_drawn(usable, chosen.survey, rng))
     fits = fit_texels(survey, options=options)
     unit = max(float(np.median(fits.lobes.diffuse)), 1e-300)
     features, known = _features(fits, unit)
-    everything = _material_of(survey, rng, chosen, options) or Material()
+    few = survey.take(_drawn(np.arange(survey.texels), chosen.per_material, rng))
+    everything = choose_material(few, options=options) or Material()
     labels = _cluster(features, known, chosen, rng)
     clusters = range(int(labels.max()) + 1)
     colours = [features[labels == label, :3] for label in clusters]
@@ -129,7 +131,18 @@ def find_materials(
         return palette
     errors = _palette_errors(survey, palette, options)
     for label in sorted(clusters, key=lambda label: -len(colours[label])):
-        own = _material_of(survey.take(labels == label), rng, chosen, options)
+        members = np.flatnonzero(labels == label)
+        some = survey.take(_drawn(members, chosen.per_material, rng))
+        # Most of the work is in choosing a prior well: one that is like that of all texels tells
+        # whether it is worth while.
+        plain = learn_prior(some, everything, options=options)
+        if plain is None:
+            continue
+        plain = with_varying_lobe(plain, some, options=options)
+        likely = _palette_errors(survey, _with_material(palette, label, plain), options)
+        if likely.sum() >= errors.sum():
+            continue
+        own = choose_material(some, options=options)
         if own is None:
             continue
         larger = _with_material(palette, label, own)
@@ -152,6 +165,7 @@ def assign_materials(
         max(material.misfit_floor for material in palette.materials),
         max(material.misfit_relative for material in palette.materials),
         material_table(list(palette.materials)),
+        shape_bounds(),
         float(options.huber_limit),
         costs,
     )
@@ -238,14 +252,9 @@ def _features(fits: TexelFits, unit: float) -> tuple[Floats, NDArray[np.bool_]]:
     return np.where(known, features, 0.0), known
 
 
-def _material_of(
-    samples: RadianceSamples,
-    rng: np.random.Generator,
-    chosen: ClusterOptions,
-    options: SolverOptions,
-) -> Material | None:
-    some = rng.permutation(samples.texels)[: chosen.per_material]
-    return choose_material(samples.take(some), options=options)
+def _drawn(texels: NDArray[np.int64], number: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """So many of the texels, at most, in the order that they had: neighbours stay together."""
+    return np.sort(rng.permutation(texels)[:number])
 
 
 def _cluster(

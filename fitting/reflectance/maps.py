@@ -151,17 +151,21 @@ def _survey(sampler: PhotographSampler, options: MapOptions) -> tuple[Palette, f
     """The materials, and how much normals vary below the texels."""
     survey, normals, sigma = survey_samples(sampler, options.clusters)
 
-    def find(samples: RadianceSamples) -> Palette:
-        return find_materials(samples, cluster_options=options.clusters, options=options.solver)
+    def find(samples: RadianceSamples, most: int) -> Palette:
+        clusters = replace(options.clusters, most=most)
+        return find_materials(samples, cluster_options=clusters, options=options.solver)
 
-    palette = find(survey)
     if not options.refine_normals:
-        return palette, 0.0
+        return find(survey, options.clusters.most), 0.0
+    # One lobe for all texels is enough to tell normals by, and most of the work is in telling
+    # materials apart.
+    palette = find(survey, 1)
     fits = fit_tile(survey, palette, options=options.solver)
     spread = learned_spread(refine_normals(survey, fits, palette, normals), sigma)
     refined = refine_normals(survey, fits, palette, normals, spread=np.hypot(sigma, spread))
-    # Misfit and priors were learned with normals that were off: once more without.
-    return find(_turned(sampler, survey, normals, refined.normals)), spread
+    # Misfit and priors are learned with normals that are no longer off.
+    turned = _turned(sampler, survey, normals, refined.normals)
+    return find(turned, options.clusters.most), spread
 
 
 def _turned(

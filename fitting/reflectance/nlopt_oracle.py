@@ -172,7 +172,12 @@ def minimise_slsqp(
 
 
 def minimise_bobyqa(
-    cost: Callable[[Floats], float], start: Floats, lower: Floats, upper: Floats
+    cost: Callable[[Floats], float],
+    start: Floats,
+    lower: Floats,
+    upper: Floats,
+    *,
+    precision: float = 1e-4,
 ) -> tuple[float, Floats]:
     """Minimum of a cost of the shape alone, without derivatives, from one start.
 
@@ -182,6 +187,8 @@ def minimise_bobyqa(
         Projected cost of the free shape parameters.
     start, lower, upper : (p,) array
         The start is clipped into the bounds.
+    precision : float
+        Of the shape; that of the cost is a hundredth of it, relative.
 
     Returns
     -------
@@ -198,8 +205,8 @@ def minimise_bobyqa(
     optimiser.set_lower_bounds(lower)
     optimiser.set_upper_bounds(upper)
     optimiser.set_initial_step(0.25)
-    optimiser.set_ftol_rel(1e-6)
-    optimiser.set_xtol_abs(1e-4)
+    optimiser.set_ftol_rel(0.01 * precision)
+    optimiser.set_xtol_abs(precision)
     optimiser.set_maxeval(_MAX_EVALUATIONS)
     return run_nlopt(optimiser, lambda x, gradient: cost(x), start)
 

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
 from fitting.reflectance.batch_kernels import MaterialTable, prior_of
-from fitting.reflectance.descent_kernels import LobePrior, linearise, specular_prior_cost
-from fitting.reflectance.lobe_kernels import CHANNELS, PARAMETERS, evaluate_lobe, make_workspace
+from fitting.reflectance.descent_kernels import LobePrior, descend, linearise
+from fitting.reflectance.lobe_kernels import (
+    CHANNELS,
+    PARAMETERS,
+    Workspace,
+    evaluate_lobe,
+    make_workspace,
+)
 from fitting.reflectance.texel_kernels import (
     SampleArrays,
     fit_columns,
@@ -18,6 +26,7 @@ from fitting.reflectance.texel_kernels import (
 
 Floats = NDArray[np.float64]
 _TOLERANCE = 1e-5
+_STEPS = 20
 
 
 @njit(cache=True, error_model="numpy")
@@ -78,28 +87,63 @@ def fit_shared_lobe(
 
 
 @njit(cache=True, error_model="numpy")
+def occam_factor(space: Workspace, prior: LobePrior) -> float:
+    """By how much the samples narrow the prior: ln of its volume over the posterior's, twice over.
+
+    Of the lobe's shape and of ρ_s, from the sums and the Hessian in ``space`` (Laplace's method).
+    """
+    factor = 0.0
+    volume = np.empty((PARAMETERS, PARAMETERS))
+    for posterior in (True, False):
+        sign = 1.0 if posterior else -1.0
+        for p in range(prior.free):
+            for q in range(p + 1):
+                entry = prior.precision[p, q]
+                if posterior:
+                    entry += space.hessian[p, q]
+                for m in range(q):
+                    entry -= volume[p, m] * volume[q, m]
+                if p == q:
+                    entry = max(entry, 1e-12)
+                    factor += sign * math.log(entry)
+                    volume[p, p] = math.sqrt(entry)
+                else:
+                    volume[p, q] = entry / volume[q, q]
+    for c in range(CHANNELS):
+        own = space.sums[c, 2] - space.sums[c, 1] ** 2 / space.sums[c, 0]
+        if prior.specular_precision[c] > 0.0:
+            factor += math.log(1.0 + max(own, 0.0) / prior.specular_precision[c])
+    return factor
+
+
+@njit(cache=True, error_model="numpy")
 def compare_materials(
     samples: SampleArrays,
     texel: int,
     misfit_floor: float,
     misfit_relative: float,
     table: MaterialTable,
+    bounds: Floats,
     huber_limit: float,
     costs: Floats,
 ) -> None:
-    """Fill one texel's twice the cost (m,) under each material's own lobe and highlight."""
+    """Fill −2 ln of the likelihood (m,) of one texel's samples under each material."""
     space = make_workspace(samples.weight.shape[1])
     rho = np.zeros((2, CHANNELS))
+    theta = np.empty(PARAMETERS)
     n = gather_samples(samples, texel, misfit_floor, misfit_relative, space, np.empty(CHANNELS))[0]
     costs[:] = 0.0
     if n == 0:
         return
     for m in range(costs.shape[0]):
         prior = prior_of(table, m)
-        evaluate_lobe(space.axes, n, prior.mean, space.lobe, space.slopes)
+        theta[:] = prior.mean
         forget_weights(space, n)
-        costs[m] = fit_columns(space, n, prior, huber_limit, rho, _TOLERANCE)
-        costs[m] += specular_prior_cost(rho, prior)
+        costs[m] = descend(
+            *(space, n, theta, rho, prior.mean, np.inf, bounds, prior, huber_limit),
+            *(_TOLERANCE, _STEPS),
+        )[0]
+        costs[m] += occam_factor(space, prior)
 
 
 @njit(cache=True, error_model="numpy", parallel=True)
@@ -108,9 +152,15 @@ def cost_under_materials(
     misfit_floor: float,
     misfit_relative: float,
     table: MaterialTable,
+    bounds: Floats,
     huber_limit: float,
     costs: Floats,
 ) -> None:
-    """Twice the cost (texels, materials) under each material's own lobe and highlight."""
+    """−2 ln of the likelihood (texels, materials) of each texel's samples, but for a constant.
+
+    Lobe and ρ_s are integrated over what they may be within the material (Laplace's method).
+    """
     for t in prange(samples.weight.shape[0]):
-        compare_materials(samples, t, misfit_floor, misfit_relative, table, huber_limit, costs[t])
+        compare_materials(
+            samples, t, misfit_floor, misfit_relative, table, bounds, huber_limit, costs[t]
+        )

@@ -2,8 +2,8 @@
 
 Every candidate is fitted to some of the samples of each texel and judged by the others, so that
 nothing is chosen for fitting its own data well. Only the few numbers of a prior are learned from
-the samples of all folds together. The error is that of a photograph exposed for the
-material: radiance clipped where only its brightest thousandth would be.
+the samples of all folds together. The error is that of photographs each exposed for what it shows:
+relative to the radiance that only a thousandth of a photograph's texels exceed, and clipped there.
 """
 
 from __future__ import annotations
@@ -29,8 +29,11 @@ Floats = NDArray[np.float64]
 
 FOLDS = 4
 _WHITE_PERCENTILE = 99.9
-# What is more complex must predict better by this many standard errors of the difference.
-_SIGNIFICANT = 2.0
+_DIMMEST = 0.01  # white of a photograph, at least: so much of the brightest one's
+# What is more complex must predict better by this many standard errors of the difference: one in
+# twenty that do not does so by chance.
+_SIGNIFICANT = 1.645
+_BATCHES = 20
 
 
 @dataclass(frozen=True)
@@ -40,31 +43,40 @@ class Candidate:
     Attributes
     ----------
     material : Material
-    texel_errors : (n,) array
-        Held-out mean squared error of each texel.
+    errors : (n, m) array
+        Held-out squared errors, see :func:`held_out_errors`.
     """
 
     material: Material
-    texel_errors: Floats
+    errors: Floats
 
     def beats(self, other: Candidate) -> bool:
         """Whether it predicts better by more than chance would have it."""
-        return predicts_better(self.texel_errors, other.texel_errors)
+        return predicts_better(self.errors, other.errors)
 
 
 def predicts_better(errors: Floats, other: Floats) -> bool:
-    """Whether the texels' errors are smaller on average by more than chance would have it."""
+    """Whether held-out errors (n, m) are smaller by more than chance would have it.
+
+    Chance is in which texels there are, and in which photographs: other lamps may show otherwise.
+    Texels that lie together err alike, so that the scatter is that of batches of consecutive ones.
+    """
     gain = other - errors
-    return float(gain.mean()) > _SIGNIFICANT * float(gain.std()) / np.sqrt(max(len(gain), 1))
+    batches = np.array_split(gain.sum(axis=1), min(_BATCHES, max(len(gain), 1)))
+    by_batch = np.array([batch.sum() for batch in batches])
+    return all(_stands_out(parts) for parts in (by_batch, gain.sum(axis=0)))
+
+
+def _stands_out(parts: Floats) -> bool:
+    """Whether the sum is above zero by more than its parts' scatter explains."""
+    scatter = np.sqrt(len(parts)) * float(parts.std(ddof=1)) if len(parts) > 1 else 0.0
+    return float(parts.sum()) > _SIGNIFICANT * scatter
 
 
 def held_out_errors(
-    samples: RadianceSamples,
-    fit: Callable[[RadianceSamples], LafortuneLobes],
-    *,
-    white: float | None = None,
+    samples: RadianceSamples, fit: Callable[[RadianceSamples], LafortuneLobes]
 ) -> Floats:
-    """Mean squared error of each texel on samples that its fit did not see, (n,).
+    """Squared errors, mean over the channels, of samples that the texel's fit did not see.
 
     Parameters
     ----------
@@ -72,28 +84,37 @@ def held_out_errors(
         Those of each texel are dealt out in turn to :data:`FOLDS` folds.
     fit : callable
         Lobes of all texels from the samples that it is given.
-    white : float, optional
-        Radiance that is clipped; by default :func:`white_level` of the samples.
+
+    Returns
+    -------
+    (n, m) array
+        Relative to :func:`white_levels`, where radiance is clipped; zero for what is not valid.
     """
     valid = samples.valid
-    level = white_level(samples) if white is None else white
-    total = np.zeros(samples.texels)
-    count = np.zeros(samples.texels)
+    white = white_levels(samples)[:, np.newaxis]
+    errors = np.zeros(valid.shape)
     fold = np.arange(samples.weight.shape[1]) % FOLDS
     for f in range(FOLDS):
         out = fold == f
         predicted = fit(samples.masked(~out)).radiance(samples.view[:, out], samples.light[:, out])
-        off = np.minimum(predicted, level) - np.minimum(samples.radiance[:, out], level)
-        seen = valid[:, out]
-        total += np.where(seen, np.sum(off**2, axis=2), 0.0).sum(axis=1)
-        count += 3 * seen.sum(axis=1)
-    return total / np.maximum(count, 1)
+        off = np.minimum(predicted / white[out], 1.0)
+        off -= np.minimum(samples.radiance[:, out] / white[out], 1.0)
+        errors[:, out] = np.where(valid[:, out], np.mean(off**2, axis=2), 0.0)
+    return errors
 
 
-def white_level(samples: RadianceSamples) -> float:
-    """Radiance that all but the brightest thousandth of the valid samples stay below."""
-    valid = samples.valid
-    return float(np.percentile(samples.radiance[valid], _WHITE_PERCENTILE)) if valid.any() else 0.0
+def white_levels(samples: RadianceSamples) -> Floats:
+    """Radiance of each photograph that all but a thousandth of its valid samples stay below, (m,).
+
+    Photographs that show next to nothing count as a hundredth as bright as the brightest.
+    """
+    levels = np.zeros(samples.weight.shape[1])
+    for photograph, valid in enumerate(samples.valid.T):
+        if valid.any():
+            seen = samples.radiance[valid, photograph]
+            levels[photograph] = np.percentile(seen, _WHITE_PERCENTILE)
+    brightest = float(levels.max(initial=0.0))
+    return np.maximum(levels, _DIMMEST * brightest if brightest > 0.0 else 1.0)
 
 
 def choose_material(samples: RadianceSamples, *, options: SolverOptions) -> Material | None:
@@ -155,7 +176,7 @@ def _tighter(narrow: Material, varying: Material) -> Iterator[Material]:
     assert varying.shape_covariance is not None  # learned materials have both
     assert varying.specular_sd is not None
     for centre in (narrow.shape_mean, varying.shape_mean):
-        for shape, strength in ((1.0, 0.5), (0.5, 1.0), (0.5, 0.5), (0.25, 0.5), (0.25, 0.25)):
+        for shape, strength in ((0.5, 1.0), (0.5, 0.5), (0.25, 0.25)):
             yield replace(
                 varying,
                 shape_mean=centre,
@@ -165,4 +186,4 @@ def _tighter(narrow: Material, varying: Material) -> Iterator[Material]:
 
 
 def _least(candidates: Iterator[Candidate]) -> Candidate | None:
-    return min(candidates, key=lambda c: float(c.texel_errors.mean()), default=None)
+    return min(candidates, key=lambda c: float(c.errors.sum()), default=None)

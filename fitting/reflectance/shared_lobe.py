@@ -23,6 +23,7 @@ from fitting.reflectance.samples import RadianceSamples
 Floats = NDArray[np.float64]
 _START_EXPONENTS = (3.0, 8.0, 20.0, 50.0, 120.0, 300.0, 800.0)
 _DESCENTS = 2
+_ROUGHLY = 0.01  # precision of a shape from which gradients lead on
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,8 @@ def fit_pooled(problem: PooledProblem, *, starts: Floats | None = None) -> Share
     best_cost, best = math.inf, ranked[0]
     for start in ranked[:_DESCENTS]:
         cost, shape = minimise_bobyqa(
-            lambda x: problem.evaluate(x)[0], start, bounds[:, 0], bounds[:, 1]
+            *(lambda x: problem.evaluate(x)[0], start, bounds[:, 0], bounds[:, 1]),
+            precision=_ROUGHLY,
         )
         if cost < best_cost:
             best_cost, best = cost, shape
@@ -135,7 +137,7 @@ def _polish(problem: PooledProblem, shape: Floats, bounds: Floats) -> Floats:
 
     optimiser.set_lower_bounds(bounds[:, 0])
     optimiser.set_upper_bounds(bounds[:, 1])
-    optimiser.set_ftol_rel(1e-9)
-    optimiser.set_xtol_abs(1e-6)
+    optimiser.set_ftol_rel(1e-8)
+    optimiser.set_xtol_abs(1e-5)
     optimiser.set_maxeval(60)
     return run_nlopt(optimiser, objective, shape)[1]

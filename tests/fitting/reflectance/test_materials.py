@@ -19,7 +19,12 @@ from fitting.reflectance.materials import Material
 from fitting.reflectance.misfit import has_misfit
 from fitting.reflectance.priors import gaussian_population
 from fitting.reflectance.samples import RadianceSamples
-from fitting.reflectance.selection import choose_material
+from fitting.reflectance.selection import (
+    choose_material,
+    held_out_errors,
+    predicts_better,
+    white_levels,
+)
 from fitting.reflectance.solver import DEFAULT_OPTIONS, fit_texels
 from workstation.benchmarks.lafortune_samples import (
     make_lobes,
@@ -156,3 +161,32 @@ def test_a_painting_without_samples_is_refused():
     dark = RadianceSamples(one, one, one, one, 0 * one[..., 0])
     with pytest.raises(FittingError, match="none of 4 texels"):
         find_materials(dark)
+
+
+def test_what_a_few_photographs_or_a_few_neighbours_say_is_put_down_to_chance():
+    rng = np.random.default_rng(0)
+    errors = 1.0 + 0.1 * rng.standard_normal((400, 60))
+    by_texel, by_photograph = np.zeros((400, 1)), np.zeros((1, 60))
+    by_texel[40:60] = by_photograph[:, 7] = 0.5
+    assert predicts_better(errors, errors + 0.01 + 0.05 * rng.standard_normal((400, 60)))
+    assert not predicts_better(errors, errors + by_texel)
+    assert not predicts_better(errors, errors + by_photograph)
+    assert predicts_better(errors, errors + by_texel + by_photograph + 0.05)
+    assert not predicts_better(errors, errors)
+
+
+def test_every_photograph_counts_by_its_own_white():
+    samples = paint_samples(None, 60, 24, seed=5)
+    dim = np.where(np.arange(24) % 2, 0.1, 1.0).astype(np.float32)[:, np.newaxis]
+    dimmed = dataclasses.replace(
+        samples, radiance=samples.radiance * dim, variance=samples.variance * dim**2
+    )
+    np.testing.assert_allclose(white_levels(dimmed), dim[:, 0] * white_levels(samples), rtol=1e-5)
+    matt = LafortuneLobes(np.zeros((60, 3)), np.full((60, 3), 0.1), np.zeros((60, 3)))
+    usual = held_out_errors(samples, lambda seen: matt)
+    assert np.all(usual[samples.valid] > 0)
+    # Renderings that are off by as much of the white err as much.
+    half = held_out_errors(dimmed, lambda seen: matt)[:, ::2]
+    np.testing.assert_allclose(half, usual[:, ::2], rtol=1e-4)
+    dark = dataclasses.replace(samples, radiance=np.zeros_like(samples.radiance))
+    assert np.all(np.isfinite(held_out_errors(dark, lambda seen: matt)))
