@@ -45,6 +45,22 @@ def run_file(copy: Path) -> Path:
     return copy.with_name(f"{copy.name}-run.json")
 
 
+def files_beside(copy: Path) -> list[Path]:
+    """Those of the pictures and the record beside a copy that are there."""
+    paths = (relief_picture(copy), held_out_picture(copy), run_file(copy))
+    return [path for path in paths if path.is_file()]
+
+
+def relief_picture(copy: Path) -> Path:
+    """Where the picture of a copy's relief is."""
+    return copy.with_name(f"{copy.name}-relief.png")
+
+
+def held_out_picture(copy: Path) -> Path:
+    """Where photographs that were kept out of the fit are, beside their renderings."""
+    return copy.with_name(f"{copy.name}-held-out.png")
+
+
 def check_copy_destination(out: Path, session_digest: str, *, force: bool) -> None:
     """Refuse to replace anything but a copy of the same session, unless that is asked for.
 
@@ -75,7 +91,7 @@ def write_processed(
     write_pictured(
         *(done.copy, out, done.comparisons), ggx=ggx, exact_maps=exact_maps, replace=True
     )
-    draw_relief(done.copy, out.with_name(f"{out.name}-relief.png"))
+    draw_relief(done.copy, relief_picture(out))
 
 
 def write_pictured(
@@ -99,7 +115,7 @@ def write_pictured(
         beside=beside,
     )
     if comparisons:
-        draw_held_out(comparisons, out.with_name(f"{out.name}-held-out.png"))
+        draw_held_out(comparisons, held_out_picture(out))
 
 
 def write_run(done: Processed, out: Path, more: dict[str, Any]) -> None:

@@ -2,19 +2,21 @@
 
 The archive holds the arrays, and a JSON tree that says how they make up the result. Only
 dataclasses and enums of Impasto's own packages are made from it, so that reading a file runs no
-code that it brings. Its checksums (CRC-32 of each part) catch damage.
+code that it brings. Whoever writes one keeps its digest, without which it is not read: damage, or
+another result in its place, is noticed before anything is made of it.
 """
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import json
 import math
-import zipfile
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +33,7 @@ class ResultFileError(ImpastoError):
     """A stored result cannot be read, or a result cannot be stored."""
 
 
-def write_result(result: Any, path: Path) -> None:
+def write_result(result: Any, path: Path) -> str:
     """Write a result, whole or not at all.
 
     Parameters
@@ -39,6 +41,11 @@ def write_result(result: Any, path: Path) -> None:
     result : Any
         Dataclasses, enums, arrays, tuples, lists, dictionaries, numbers, texts and None.
     path : Path
+
+    Returns
+    -------
+    str
+        SHA-256 of the file, which :func:`read_result` asks for.
 
     Raises
     ------
@@ -48,29 +55,43 @@ def write_result(result: Any, path: Path) -> None:
     arrays: list[NDArray[Any]] = []
     tree = json.dumps(_encode(result, arrays))
     named = {f"a{number}": array for number, array in enumerate(arrays)}
-    with file_in_progress(path) as unfinished, unfinished.open("wb") as file:
+    with file_in_progress(path) as unfinished, unfinished.open("w+b") as file:
         np.savez(file, **{_TREE: np.array(tree)}, **named)
+        return _digest(file)
 
 
-def read_result(path: Path) -> Any:
+def read_result(path: Path, digest: str) -> Any:
     """Read what :func:`write_result` wrote.
+
+    Parameters
+    ----------
+    path : Path
+    digest : str
+        What writing it returned.
 
     Raises
     ------
     ResultFileError
-        The file is missing, damaged, or of another version.
+        The file is missing, is not what was written, or is of another version.
     """
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            tree = json.loads(str(archive[_TREE]))
-            return _decode(tree, archive)
+        with path.open("rb") as file:
+            if _digest(file) != digest:
+                raise ResultFileError("is not what was written: damaged, or another result")
+            file.seek(0)
+            with np.load(file, allow_pickle=False) as archive:
+                return _decode(json.loads(str(archive[_TREE])), archive)
     except ImpastoError as error:
         raise ResultFileError(f"{path}: {error}") from None
-    except (
-        *(OSError, ValueError, KeyError, TypeError, AttributeError, ImportError),
-        *(EOFError, IndexError, zipfile.BadZipFile, RecursionError, NotImplementedError),
-    ) as error:
-        raise ResultFileError(f"{path}: damaged or of another version ({error})") from None
+    except OSError as error:
+        raise ResultFileError(f"{path}: cannot be read ({error.strerror or error})") from None
+    except (ValueError, KeyError, TypeError, AttributeError, ImportError, BadZipFile) as error:
+        raise ResultFileError(f"{path}: no result, or of another version ({error})") from None
+
+
+def _digest(file: IO[bytes]) -> str:
+    file.seek(0)
+    return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _encode(value: Any, arrays: list[NDArray[Any]]) -> Any:

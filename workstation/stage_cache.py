@@ -2,14 +2,17 @@
 
 The result of a stage is stored under a key: a digest of the program's own source, the stage's name,
 its parameters, and the keys of the stages before it. A stage whose key is that of the stored result
-is not run; nothing else about the result is looked at. One result is kept of each stage.
+is not run. The result itself is read, and its digest compared, where it is first asked for; a stage
+whose result is damaged then runs after all. One result is kept of each stage.
 """
 
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import hashlib
 import json
+import os
 import re
 import time
 from collections.abc import Callable, Iterator
@@ -23,12 +26,17 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from acquisition.atomic_files import file_in_progress
+from devices.errors import ImpastoError
 from workstation.result_files import PACKAGES, ResultFileError, read_result, write_result
 
 T = TypeVar("T")
 # proc(5): 5 sets the process's peak of resident memory back to what it holds now.
 _CLEAR_REFS, _FORGET_PEAK = Path("/proc/self/clear_refs"), "5"
 _STATUS = Path("/proc/self/status")
+
+
+class StagesInUseError(ImpastoError):
+    """Another run is storing results in the same folder."""
 
 
 @dataclass(frozen=True)
@@ -121,66 +129,106 @@ class StageCache:
         """
         began = time.perf_counter()
         key = _key(name, depends_on, parameters)
-        if self.folder is None:
-            return self._compute(name, key, compute, began)
-        stem = self.folder / name.replace(" ", "-")
-        note = _read_note(stem.with_suffix(".json"))
-        if note.get("key") == key and stem.with_suffix(".npz").is_file():
+        note = self._note(name)
+        if note.get("key") == key and self._file(name, ".npz").is_file():
             saved, peak = (_number(note.get(what)) for what in ("seconds", "peak_mb"))
             self._end(StageRun(name, time.perf_counter() - began, True, saved, peak))
-            return StageResult(key, cache(lambda: self._read(name, stem, compute)))
-        result = self._compute(name, key, compute, began)
-        # Where there is no room for it, the next run has to do the work again.
-        with contextlib.suppress(OSError):
-            self._store(stem, key, result.get(), self.runs[-1])
-        return result
+            digest = str(note.get("digest"))
+            return StageResult(key, cache(lambda: self._read(name, key, digest, compute)))
+        value = self._compute(name, key, compute)
+        return StageResult(key, lambda: value)
 
     def seconds_before(self, name: str) -> float | None:
         """What a stage took when it last ran; None if that is not known."""
-        if self.folder is None:
-            return None
-        note = _read_note((self.folder / name.replace(" ", "-")).with_suffix(".json"))
+        note = self._note(name)
         return _number(note["seconds"]) if "seconds" in note else None
 
-    def _compute(
-        self, name: str, key: str, compute: Callable[[], T], began: float
-    ) -> StageResult[T]:
+    def _compute(self, name: str, key: str, compute: Callable[[], T]) -> T:
+        """Run a stage, and store its result; what became of it before is forgotten."""
         self.begin(name)
+        began = time.perf_counter()
         with peak_memory() as peak_mb:
             value = compute()
-        self._end(StageRun(name, time.perf_counter() - began, False, 0.0, peak_mb()))
-        return StageResult(key, lambda: value)
+        run = StageRun(name, time.perf_counter() - began, False, 0.0, peak_mb())
+        self._end(run)
+        if self.folder is not None:
+            # Where there is no room for it, the next run has to do the work again.
+            with contextlib.suppress(OSError):
+                self._store(run, key, value)
+        return value
 
     def _end(self, run: StageRun) -> None:
-        self.runs.append(run)
+        names = [earlier.name for earlier in self.runs]
+        if run.name in names:
+            self.runs[names.index(run.name)] = run
+        else:
+            self.runs.append(run)
         self.done(run)
 
-    def _read(self, name: str, stem: Path, compute: Callable[[], T]) -> T:
+    def _read(self, name: str, key: str, digest: str, compute: Callable[[], T]) -> T:
         try:
-            return read_result(stem.with_suffix(".npz"))
+            value: T = read_result(self._file(name, ".npz"), digest)
         except ResultFileError:
-            # A damaged result is as good as none.
-            stem.with_suffix(".json").unlink(missing_ok=True)
-            self.begin(name)
-            return compute()
+            return self._compute(name, key, compute)
+        return value
 
-    @staticmethod
-    def _store(stem: Path, key: str, value: Any, run: StageRun) -> None:
+    def _store(self, run: StageRun, key: str, value: Any) -> None:
         """Store a result and then its key, so that a key never names another's result."""
-        stem.parent.mkdir(parents=True, exist_ok=True)
-        note = stem.with_suffix(".json")
+        note, file = self._file(run.name, ".json"), self._file(run.name, ".npz")
+        note.parent.mkdir(parents=True, exist_ok=True)
         note.unlink(missing_ok=True)
-        write_result(value, stem.with_suffix(".npz"))
+        told = {
+            "key": key,
+            "digest": write_result(value, file),
+            "seconds": round(run.seconds, 3),
+            "peak_mb": round(run.peak_mb, 1),
+        }
         with file_in_progress(note) as unfinished:
-            unfinished.write_text(
-                json.dumps(
-                    {
-                        "key": key,
-                        "seconds": round(run.seconds, 3),
-                        "peak_mb": round(run.peak_mb, 1),
-                    }
-                )
-            )
+            unfinished.write_text(json.dumps(told))
+
+    def _note(self, name: str) -> dict[str, Any]:
+        """What is noted of a stage's last run; empty where nothing is."""
+        return {} if self.folder is None else _read_note(self._file(name, ".json"))
+
+    def _file(self, name: str, suffix: str) -> Path:
+        assert self.folder is not None  # whoever asks has seen to it
+        return self.folder / f"{name.replace(' ', '-')}{suffix}"
+
+
+@contextmanager
+def sole_use(folder: Path | None) -> Iterator[None]:
+    """Keep other runs from storing results in a folder while the block runs.
+
+    Each would take for its own what the other has stored and written. The lock goes with the
+    process, however that ends. Where the folder cannot be made nothing is stored either.
+
+    Raises
+    ------
+    StagesInUseError
+        Another run is at it.
+    """
+    if folder is None:
+        yield
+        return
+    with contextlib.ExitStack() as stack:
+        with contextlib.suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
+            stack.callback(_remove_if_empty, folder)
+            descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+            stack.callback(os.close, descriptor)
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise StagesInUseError(
+                    f"{folder}: another run is making a copy with these stages; wait for its end, "
+                    "or name another folder with --stages"
+                ) from None
+        yield
+
+
+def _remove_if_empty(folder: Path) -> None:
+    with contextlib.suppress(OSError):
+        folder.rmdir()
 
 
 @contextmanager

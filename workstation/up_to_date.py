@@ -2,18 +2,19 @@
 
 The note beside the stored results of the stages says for which recordings, calibration, options and
 program a copy was written, and what its files were. Looking takes a fraction of the time that the
-numerical libraries take to be loaded.
+numerical libraries take to be loaded. Of recordings it looks at sizes and times of change alone: a
+copy of a session, or one that was touched, is not known, and processing looks at it more closely.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from acquisition.session import JOURNAL_FILE, MANIFEST_FILE
+from acquisition.session import MANIFEST_FILE
 from workstation.json_output import write_json
 from workstation.stage_cache import digest_of_files, digest_of_program
 
@@ -26,7 +27,7 @@ def digest_of_request(inputs: Mapping[str, Path | None], options: Mapping[str, A
     Parameters
     ----------
     inputs : mapping of str to Path or None
-        Sessions, of which manifest and journal count, other folders, and files.
+        Sessions, other folders, and files.
     options : mapping of str to Any
         Plain values.
     """
@@ -43,22 +44,44 @@ def figures_if_written(out: Path, stages: Path | None, request: str) -> dict[str
         note = json.loads((stages / _NOTE).read_text())
         known = note["request"], note["files"]
         figures: dict[str, Any] = dict(note["figures"])
+        beside = [out.parent / str(name) for name in note["beside"]]
+        written = _digest_of_written(out, beside)
     except (OSError, ValueError, KeyError, TypeError):
         return None
-    return figures if known == (request, digest_of_files(out)) else None
+    return figures if known == (request, written) else None
 
 
-def note_written(out: Path, stages: Path | None, request: str, figures: dict[str, Any]) -> None:
-    """Note that a copy was written for a request."""
+def note_written(
+    out: Path, stages: Path | None, request: str, figures: dict[str, Any], *, beside: Sequence[Path]
+) -> None:
+    """Note that a copy was written for a request, and which files beside it."""
     if stages is not None and stages.is_dir():
-        note = {"request": request, "files": digest_of_files(out), "figures": figures}
+        note = {
+            "request": request,
+            "files": _digest_of_written(out, beside),
+            "beside": [path.name for path in beside],
+            "figures": figures,
+        }
         write_json(stages / _NOTE, note)
+
+
+def _digest_of_written(out: Path, beside: Sequence[Path]) -> str:
+    digests = [hashlib.sha256(path.read_bytes()).hexdigest() for path in beside]
+    return " ".join([digest_of_files(out), *digests])
 
 
 def _digest(path: Path) -> str:
     if (path / MANIFEST_FILE).is_file():
-        parts = [path / MANIFEST_FILE, path / JOURNAL_FILE]
-        return " ".join(hashlib.sha256(part.read_bytes()).hexdigest() for part in parts)
+        manifest = hashlib.sha256((path / MANIFEST_FILE).read_bytes()).hexdigest()
+        return f"{manifest} {_changed(path)}"
     if path.is_dir():
         return digest_of_files(path)
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "nothing"
+
+
+def _changed(folder: Path) -> str:
+    """Digest of the names, sizes and times of change of all files below a folder."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    known = [(path.relative_to(folder).as_posix(), path.stat()) for path in files]
+    told = [[name, stat.st_size, stat.st_mtime_ns] for name, stat in known]
+    return hashlib.sha256(json.dumps(told).encode()).hexdigest()

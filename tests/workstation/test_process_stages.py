@@ -10,6 +10,7 @@ import typer
 from typer.testing import CliRunner
 
 from calibration.rig_geometry import RigGeometry
+from devices.errors import ImpastoError
 from devices.simulated.rig import demo_rig
 from fitting.copy_files import read_copy
 from fitting.relief_classification import ReliefOptions
@@ -27,7 +28,13 @@ from workstation.processing import (
     process_session,
 )
 from workstation.quality import Quality, quality_options
-from workstation.stage_cache import StageCache, StageRun, digest_of_files
+from workstation.stage_cache import (
+    StageCache,
+    StageRun,
+    StagesInUseError,
+    digest_of_files,
+    sole_use,
+)
 from workstation.stage_progress import StageClock, clock_text
 
 
@@ -130,10 +137,16 @@ def test_the_command_goes_from_draft_to_what_is_up_to_date(session, tmp_path):
     assert read_copy(out).relief.delta0_mm == 0.3
     assert command(session, "--out", out, "--quality", "draft").exit_code == 0
     assert digest_of_files(out) == before
-    # A copy that was damaged, or removed, is written again.
+    # A copy that was damaged, or a file beside it that was removed, is written again.
     (out / "relief.exr").unlink()
     assert "is up to date" not in command(session, "--out", out, "--quality", "draft").output
     assert digest_of_files(out) == before
+    run_file(out).unlink()
+    assert "is up to date" not in command(session, "--out", out, "--quality", "draft").output
+    assert run_file(out).is_file()
+    with sole_use(stages_folder(out)):
+        done = command(session, "--out", out, "--quality", "draft", "--delta0", 0.4)
+    assert isinstance(done.exception, StagesInUseError)
     done = command(session, "--out", out, "--afresh", "--json", figures)
     assert done.exit_code == 0, done.output
     normal = json.loads(figures.read_text())
@@ -183,3 +196,15 @@ def test_times_are_said_as_people_say_them():
         "1 min 40 s",
         "1 h 02 min",
     ]
+
+
+def test_a_recording_that_was_changed_since_is_looked_at_again(session, tmp_path):
+    mine, out = tmp_path / "session", tmp_path / "copy"
+    shutil.copytree(session, mine)
+    assert command(mine, "--out", out, "--quality", "draft").exit_code == 0
+    assert "is up to date" in command(mine, "--out", out, "--quality", "draft").output
+    models = mine / "calibration" / "projector.cameramodel"
+    models.write_text(models.read_text().replace("extrinsics", "extrinsics "))
+    done = command(mine, "--out", out, "--quality", "draft")
+    assert "is up to date" not in done.output
+    assert isinstance(done.exception, ImpastoError)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import shutil
 from dataclasses import dataclass
 from enum import Enum
 
@@ -7,7 +8,8 @@ import numpy as np
 import pytest
 
 from workstation import stage_cache
-from workstation.stage_cache import StageCache, digest_of_files
+from workstation.result_files import write_result
+from workstation.stage_cache import StageCache, StagesInUseError, digest_of_files, sole_use
 
 
 class Kind(Enum):
@@ -104,6 +106,46 @@ def test_damaged_results_are_made_again(work, file, damage):
         path.write_bytes(b"\0" * 300)
     assert work.do()[0] == 1.5
     assert work.do()[0] == 1.5
+
+
+@pytest.mark.parametrize("other", ["cut", "another result", "another session's"])
+def test_a_stage_whose_result_is_not_its_own_runs_and_says_so(work, other, tmp_path):
+    work.do()
+    file = work.folder / "second.npz"
+    if other == "cut":
+        file.write_bytes(file.read_bytes()[:-40])
+    elif other == "another result":
+        write_result({"sum": 7.0}, file)
+    else:
+        stranger = Work(tmp_path / "elsewhere")
+        stranger.do(session="s2", height=4.0)
+        shutil.copy(stranger.folder / "second.npz", file)
+    work.ran.clear()
+    value, runs = work.do()
+    assert value == 1.5
+    assert work.ran == ["second"]
+    assert [(run.name, run.skipped) for run in runs] == [("first", True), ("second", False)]
+    # It was stored again.
+    assert [run.skipped for run in work.do()[1]] == [True, True]
+
+
+def test_a_folder_of_stages_has_one_user(tmp_path):
+    folder = tmp_path / "stages"
+    with sole_use(folder):
+        with pytest.raises(StagesInUseError, match="another run"), sole_use(folder):
+            pass
+        with sole_use(tmp_path / "others"), sole_use(None):
+            pass
+    with sole_use(folder):
+        (folder / "first.json").write_text("{}")
+    # Nothing is left where nothing was stored.
+    assert [path.name for path in tmp_path.iterdir()] == ["stages"]
+
+
+def test_where_no_folder_can_be_made_there_is_nothing_to_keep_others_from(tmp_path):
+    (tmp_path / "file").write_text("")
+    with sole_use(tmp_path / "file" / "stages"):
+        pass
 
 
 def test_a_full_disk_costs_the_next_run_its_time_and_no_more(work, monkeypatch):

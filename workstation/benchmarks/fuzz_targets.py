@@ -39,6 +39,7 @@ _CALIBRATION_FILE = "calibration.yml"
 _RIG_FILE = "rig.toml"
 _LAMPS_FILE, _LAMPS = "lamps.json", 4
 _RESULT_FILE = "result.npz"
+_DIGEST_FILE = "result.sha256"
 DOME_FILE = "lights.lp"
 _RIG = """
 [camera]
@@ -140,7 +141,8 @@ def make_targets(place: Path) -> tuple[Target, ...]:
     LampTable.of(DeclaredLamps(rig), poses).save(place / "lamps" / _LAMPS_FILE)
     write_dome(place / "dome", lights=6, width=16, height=12)
     (place / "stored").mkdir()
-    write_result(copy.height_field, place / "stored" / _RESULT_FILE)
+    digest = write_result(copy.height_field, place / "stored" / _RESULT_FILE)
+    (place / "stored" / _DIGEST_FILE).write_text(digest)
     return (
         Target("session as recorded", session, _read_session, sealed=True),
         Target("session resealed", session, _process_session, mend=reseal),
@@ -284,7 +286,8 @@ def _read_dome(folder: Path) -> bytes:
 
 
 def _read_stored(folder: Path) -> bytes:
-    return fingerprint(pickle.dumps(read_result(folder / _RESULT_FILE)))
+    digest = (folder / _DIGEST_FILE).read_text(errors="replace")
+    return fingerprint(pickle.dumps(read_result(folder / _RESULT_FILE, digest)))
 
 
 def _reflectance(copy: DigitalCopy) -> ReflectanceMaps:

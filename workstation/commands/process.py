@@ -102,6 +102,8 @@ def process(
 
         impasto process --lp dome/lights.lp --out copy/
     """
+    from workstation.stage_cache import sole_use
+
     if (session is None) == (lp is None):
         raise typer.BadParameter("name a SESSION, or pictures with --lp, and not both")
     if (photographs is None) != (lamps is None):
@@ -123,10 +125,11 @@ def process(
     else:
         assert session is not None  # by the check above
         inputs = _Inputs(session, calibration, photographs, lamps)
-        kept = None if afresh else stages or out.with_name(f"{out.name}-stages")
-        figures = _up_to_date(inputs, out, choices, kept) or _process_scan(
-            inputs, out, choices, kept, force=force
-        )
+        place = stages or out.with_name(f"{out.name}-stages")
+        kept = None if afresh else place
+        current = _up_to_date(inputs, out, choices, kept)
+        with sole_use(place):
+            figures = current or _process_scan(inputs, out, choices, kept, force=force)
     write_json(json, figures)
 
 
@@ -206,7 +209,12 @@ def _process_scan(
     inputs: _Inputs, out: Path, choices: _Choices, kept: Path | None, *, force: bool
 ) -> dict[str, Any]:
     from acquisition.session import Session
-    from workstation.copy_writing import check_copy_destination, write_processed, write_run
+    from workstation.copy_writing import (
+        check_copy_destination,
+        files_beside,
+        write_processed,
+        write_run,
+    )
     from workstation.expected_time import expected_seconds
     from workstation.interruption import too_late_to_stop
     from workstation.processing import add_photographs, process_session
@@ -242,7 +250,7 @@ def _process_scan(
         too_late_to_stop()
         write_processed(done, out, ggx=choices.ggx, exact_maps=choices.exact_maps)
         write_run(done, out, expectation)
-        note_written(out, kept, request, figures)
+        note_written(out, kept, request, figures, beside=files_beside(out))
     for warning in done.warnings:
         typer.echo(f"warning: {warning}", err=True)
     _say_heights(figures, out, current=False)
