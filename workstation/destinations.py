@@ -28,12 +28,15 @@ class Kind(StrEnum):
     DEMO = "demo"
 
 
+# By it alone a folder is known as a demo, which --force may replace with all that it holds.
+DEMO_FILE = "demo.json"
+DEMO_FORMAT = "impasto-demo-1"
 # Of JSON files that only such a folder holds, and what their format begins with. Named here, not
 # where they are written, because importing that takes the numerical libraries.
 _HEADERS = {
     Kind.SESSION: ("plan.json", "impasto-plan-"),
     Kind.COPY: ("copy.json", "impasto-copy-"),
-    Kind.DEMO: ("report.json", "impasto-demo-"),
+    Kind.DEMO: (DEMO_FILE, "impasto-demo-"),
 }
 # Of a rig, or of a light arm by itself.
 _CALIBRATIONS = (("camera.cameramodel", "projector.cameramodel"), ("light-arm.json",))

@@ -16,6 +16,7 @@ from workstation.demo_job import SESSIONS_FOLDER
 from workstation.demo_processing import process_demo
 from workstation.demo_recording import DemoCapture, DemoRecorder, DemoSize, replay_sessions
 from workstation.demonstration import align_to_truth, measure_height_error, rt_true_camera
+from workstation.destinations import DEMO_FILE
 from workstation.stage_cache import StageCache, digest_of_files
 
 
@@ -93,9 +94,9 @@ def test_a_demo_is_replaced_only_if_that_is_asked_for(made):
     before = digest_of_files(made)
     refused = run("--size", "tiny", "--out", made)
     assert "exists already" in str(refused.exception)
-    (made / "report.json").rename(made / "kept.json")
+    (made / DEMO_FILE).rename(made / "kept.json")
     assert "exists already" in str(run("--size", "tiny", "--out", made, "--force").exception)
-    (made / "kept.json").rename(made / "report.json")
+    (made / "kept.json").rename(made / DEMO_FILE)
     assert digest_of_files(made) == before
 
 

@@ -4,19 +4,25 @@ import json
 from pathlib import Path
 
 import pytest
+import typer
+from typer.testing import CliRunner
 
 from acquisition.plan import Plan
 from acquisition.session import PLAN_FILE
 from calibration.arm_files import ARM_FILE
 from calibration.rig_geometry import CAMERA_FILE, PROJECTOR_FILE
 from fitting.copy_files import COPY_FILE, FORMAT
+from workstation import commands
 from workstation.destinations import (
+    DEMO_FILE,
+    DEMO_FORMAT,
     DestinationError,
     Kind,
     check_destinations,
     check_replaced,
     kind_of,
 )
+from workstation.stage_cache import digest_of_files
 
 
 @pytest.fixture
@@ -27,7 +33,7 @@ def desk(tmp_path, monkeypatch):
     headers = {
         f"poses/1/{PLAN_FILE}": plan,
         f"copy/{COPY_FILE}": {"format": FORMAT},
-        "demo/report.json": {"format": "impasto-demo-1"},
+        f"demo/{DEMO_FILE}": {"format": DEMO_FORMAT},
         "theirs/report.json": {"gates": []},
         "theirs/copy.json": {"format": "of another program"},
         "lights/" + ARM_FILE: {},
@@ -136,3 +142,36 @@ def test_only_a_folder_of_its_kind_is_replaced(desk):
         for kind in (Kind.DEMO, Kind.COPY):
             with pytest.raises(DestinationError, match=f"is no {kind}"):
                 check_replaced(desk / name, kind, force=True)
+
+
+COMMANDS = [
+    "render copy --out copy/x.png",
+    "render copy --out copy/copy.json",
+    "render copy --view all --out copy/views",
+    "render copy --out x.png --json copy/copy.json",
+    "gallery copy --out copy/walk",
+    "gallery copy --out walk --json copy/f.json",
+    "view copy --json copy/f.json",
+    "import half --capture lamps.json --out poses/1/session",
+    "import half --capture lamps.json --out session --json lamps.json",
+    "replay poses/1 --out poses/1/again",
+    "replay poses/1 --out again --json poses/1/f.json",
+    "resume poses/1 --json poses/1/plan.json",
+    "scan lamps.json --out rig/scan",
+    "scan lamps.json --out scan --json lamps.json",
+    "photograph lamps.json --out photographs --json lamps.json",
+    "devices lamps.json --json lamps.json",
+    "demo --out demo --force --json demo/f.json",
+    "demo --out theirs --force",
+]
+
+
+@pytest.mark.parametrize("line", COMMANDS)
+def test_commands_refuse_before_any_work(desk, line):
+    before = digest_of_files(desk)
+    app = typer.Typer()
+    commands.register(app)
+    done = CliRunner().invoke(app, line.split())
+    assert isinstance(done.exception, DestinationError), done.output
+    assert done.exception.exit_code == 3
+    assert digest_of_files(desk) == before

@@ -42,20 +42,27 @@ def demo(
         impasto demo --out out/demo
     """
     from acquisition.atomic_files import folder_in_progress
-    from acquisition.errors import SessionError
-    from workstation.demo_job import EXPECTED_S, REPORT_FILE, run_demo
+    from workstation.demo_job import EXPECTED_S, run_demo
     from workstation.demo_recording import DemoSize
+    from workstation.destinations import (
+        DEMO_FILE,
+        DEMO_FORMAT,
+        Kind,
+        check_destinations,
+        check_replaced,
+    )
     from workstation.interruption import too_late_to_stop
     from workstation.stage_progress import clock_text, stage_progress
 
-    if out.exists() and not (force and (out / REPORT_FILE).is_file()):
-        raise SessionError(f"{out} exists already; choose another place, or add --force")
+    check_destinations(makes={"--out": out}, writes={"--json": json})
+    check_replaced(out, Kind.DEMO, force=force)
     chosen = DemoSize(size.value)
     with (
         stage_progress("demo", EXPECTED_S[chosen]) as steps,
         folder_in_progress(out, replace=force) as folder,
     ):
         figures = run_demo(folder, chosen, seed=seed, begin=steps.begin, done=steps.done)
+        write_json(folder / DEMO_FILE, {"format": DEMO_FORMAT, "size": size, "seed": seed})
         too_late_to_stop()
     truth, held = figures["truth"], figures["reflectance"]["held_out"]
     typer.echo(

@@ -40,6 +40,9 @@ def devices(
 
         impasto devices rig.toml
     """
+    from workstation.destinations import check_destinations
+
+    check_destinations(rig, writes={"--json": json})
     if rig is None:
         _search(limit, json)
     else:

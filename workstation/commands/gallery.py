@@ -51,11 +51,13 @@ def gallery(
     from render.painter import Painter
     from render.picture_files import write_picture
     from render.video_files import video_file
+    from workstation.destinations import check_destinations
     from workstation.interruption import too_late_to_stop
     from workstation.progress import progress
 
     width, height = parse_size(size)
     shown = parse_mode(mode)
+    check_destinations(*copies, makes={"--out": out}, writes={"--json": json})
     if out.exists():
         raise RenderError(f"{out} exists already; choose another place, or remove it first")
     room = Gallery(

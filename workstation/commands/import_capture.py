@@ -38,9 +38,11 @@ def import_capture(
     from acquisition.foreign_capture import find_capture, record_capture
     from acquisition.session import Session
     from calibration.opencv_files import read_rig_geometry
+    from workstation.destinations import check_destinations
     from workstation.interruption import too_late_to_stop
     from workstation.progress import progress
 
+    check_destinations(folder, capture, makes={"--out": out}, writes={"--json": json})
     description = read_description(capture)
     found = find_capture(folder, description)
     rig = original = None

@@ -82,8 +82,10 @@ def photograph(
     from acquisition.photograph_plan import PhotographChoices, plan_photographs
     from devices.rig_file import read_rig_file
     from workstation.confirmation import confirm_at_desk
+    from workstation.destinations import check_destinations
     from workstation.recording import describe_plan, record_session
 
+    check_destinations(rig, makes={"--out": out}, writes={"--json": json})
     choices = PhotographChoices(
         exposures_s=_seconds(exposure or [4.0, 16.0, 64.0, 256.0]),
         code_exposures_s=_seconds(code_exposure or [45.0]),

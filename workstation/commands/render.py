@@ -74,6 +74,7 @@ def render(
     from render.painter import Painter, RenderedImage
     from render.picture_files import check_picture_path, write_picture, write_picture_table
     from render.views import NamedView, parse_view
+    from workstation.destinations import check_destinations
     from workstation.interruption import too_late_to_stop
     from workstation.progress import progress
 
@@ -81,6 +82,11 @@ def render(
     lamp, modes = parse_light(light), _parse_modes(mode)
     views = [str(name) for name in NamedView] if view == ALL else [view]
     single = ALL not in (mode, view)
+    check_destinations(
+        copy,
+        makes={} if single else {"--out": out},
+        writes={"--json": json} | ({"--out": out} if single else {}),
+    )
     if single:
         check_picture_path(out)
     elif out.exists():

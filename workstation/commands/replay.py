@@ -38,16 +38,13 @@ def replay(
     from acquisition.session import Session
     from acquisition.session_writer import SessionWriter
     from devices.replay import replay_rig
+    from workstation.destinations import check_destinations
     from workstation.interruption import too_late_to_stop
     from workstation.progress import progress
 
+    check_destinations(session, makes={"--out": out}, writes={"--json": json})
     if out.exists():
         raise SessionError(f"{out} exists already; choose another place, or remove it first")
-    if session.resolve() in out.resolve().parents:
-        raise SessionError(
-            f"{out} lies inside {session}, which would not be what was recorded any more; choose "
-            "another place"
-        )
     source = open_for_replay(session)
     recording = recording_of(source)
     calibration = source.calibration_folder

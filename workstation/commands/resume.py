@@ -41,8 +41,10 @@ def resume(
     from acquisition.session_writer import SessionWriter
     from devices.rig_file import read_rig_file
     from workstation.confirmation import confirm_at_desk
+    from workstation.destinations import check_destinations
     from workstation.recording import finish_session, keeping_its_place, report_session
 
+    check_destinations(session, rig, writes={"--json": json})
     so_far = open_for_replay(session)
     if so_far.digest:
         typer.echo(f"{session} is complete: there is nothing to resume")

@@ -124,8 +124,10 @@ def scan(
     from acquisition.scan_plan import whole_periods
     from devices.rig_file import read_rig_file
     from workstation.confirmation import confirm_at_desk
+    from workstation.destinations import check_destinations
     from workstation.recording import describe_plan, record_session
 
+    check_destinations(*(rig, calibration, response), makes={"--out": out}, writes={"--json": json})
     metering = None if no_skip else _metering(target_px, target_mm, calibration)
     compensated = None if response is None else _response(response)
     with read_rig_file(rig).open(confirm=confirm_at_desk) as opened:

@@ -53,7 +53,9 @@ def view(
         impasto view copy/ --mode bounded --light 150,20 --shadows
     """
     from render.windows import draw_in_windows
+    from workstation.destinations import check_destinations
 
+    check_destinations(copy, writes={"--json": json})
     draw_in_windows()
     from fitting.copy_files import read_copy
     from render.viewer import PaintingViewer
