@@ -107,8 +107,18 @@ def check_destination(path: Path, *, replace: bool) -> None:
     ------
     CopyError
     """
-    if path.exists() and not (replace and (path / COPY_FILE).is_file()):
+    if path.exists() and not (replace and _is_copy(path)):
         raise CopyError(f"{path} exists already; choose another place, or remove it first")
+
+
+def _is_copy(path: Path) -> bool:
+    """Whether a folder is a copy of this version or another, and not somebody's ``copy.json``."""
+    try:
+        header = json.loads((path / COPY_FILE).read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return False
+    found = header.get("format") if isinstance(header, dict) else None
+    return isinstance(found, str) and found.startswith("impasto-copy-")
 
 
 def read_copy(path: Path) -> DigitalCopy:

@@ -9,7 +9,7 @@ import pytest
 from full_disk import largest_file
 from synthetic_copy import make_copy, strokes
 
-from fitting.copy_files import read_copy, write_copy
+from fitting.copy_files import check_destination, read_copy, write_copy
 from fitting.digital_copy import DigitalCopy, ReflectanceMaps, ReflectanceQuality
 from fitting.errors import CopyError, FittingError
 from fitting.height_field import HeightField
@@ -248,3 +248,10 @@ def test_standard_errors_beyond_half_floats_stay_finite(copy, tmp_path):
     again = read_copy(tmp_path / "copy").reflectance.quality
     assert np.isfinite(again.specular_sigma).all()
     assert again.specular_sigma[3, 4].min() > 6e4
+
+
+@pytest.mark.parametrize("header", ['{"format": "of another program"}', "{torn", "[]"])
+def test_a_folder_with_somebody_else_s_copy_json_is_kept(tmp_path, header):
+    (tmp_path / "copy.json").write_text(header)
+    with pytest.raises(CopyError, match="exists already"):
+        check_destination(tmp_path, replace=True)

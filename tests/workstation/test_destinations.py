@@ -145,6 +145,14 @@ def test_only_a_folder_of_its_kind_is_replaced(desk):
 
 
 COMMANDS = [
+    "process poses/1 --out poses/1/copy",
+    "process poses/1 --out poses",
+    "process poses/1 --out c --stages poses/1",
+    "process poses/1 --out c --calibration rig --stages rig/stages",
+    "process poses/1 --out c --stages c/stages",
+    "process poses/1 --out copy --json copy/f.json",
+    "process poses/1 --out c --photographs poses/1 --lamps lamps.json --json lamps.json",
+    "process --lp lamps.json --out c --json lamps.json",
     "render copy --out copy/x.png",
     "render copy --out copy/copy.json",
     "render copy --view all --out copy/views",

@@ -102,6 +102,7 @@ def process(
 
         impasto process --lp dome/lights.lp --out copy/
     """
+    from workstation.destinations import check_destinations
     from workstation.stage_cache import sole_use
 
     if (session is None) == (lp is None):
@@ -114,6 +115,15 @@ def process(
         raise typer.BadParameter("--ggx converts reflectance: name --photographs or --lp")
 
     choices = _Choices(quality, seed, delta0, cell, pitch, mosaic, keep_normals, ggx, exact_maps)
+    if out.name in ("", ".."):
+        out = out.resolve()
+    place = stages or out.with_name(f"{out.name}-stages")
+    check_destinations(
+        *(session, calibration, photographs, lamps, lp),
+        makes={"--out": out},
+        fills={} if lp is not None else {"--stages": place},
+        writes={"--json": json},
+    )
     if lp is not None:
         options = _options(choices)
         figures = _process_pictures(
@@ -125,7 +135,6 @@ def process(
     else:
         assert session is not None  # by the check above
         inputs = _Inputs(session, calibration, photographs, lamps)
-        place = stages or out.with_name(f"{out.name}-stages")
         kept = None if afresh else place
         current = _up_to_date(inputs, out, choices, kept)
         with sole_use(place):
