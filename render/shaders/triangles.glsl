@@ -85,45 +85,66 @@ real hit_in_cell(
     return real(-1.0);
 }
 
+// Where a ray is: the cell, the level of the square around it, and the places of entry and exit.
+struct Walk { ivec2 cell; int level; real enter; real leave; bvec2 crosses; ivec2 low; ivec2 high; };
+
+// On into the next square; false where the ray ends or leaves the cells.
+bool go_on(Ray ray, bvec2 forward, inout Walk walk) {
+    if (walk.leave >= ray.length) return false;
+    walk.enter = walk.leave;
+    ivec2 here = ivec2(floor(ray.from.xy + walk.enter * ray.along.xy));
+    ivec2 before = walk.cell;
+    ivec2 beyond = ivec2(mix(walk.low - 1, walk.high, forward));
+    walk.cell = ivec2(mix(clamp(here, walk.low, walk.high - 1), beyond, walk.crosses));
+    // Up again only where a larger square was left.
+    int larger = walk.level + 1;
+    if (larger <= pyramid_top && (before >> larger) != (walk.cell >> larger)) walk.level = larger;
+    return all(greaterThanEqual(walk.cell, ivec2(0))) && all(lessThan(walk.cell, pyramid_cells));
+}
+
 // Place of the first hit along the ray; below zero where there is none.
 real first_hit(Ray ray, out int steps, out ivec2 cell, out real3 triangle) {
-    cell = clamp(ivec2(floor(ray.from.xy)), ivec2(0), pyramid_cells - 1);
-    ivec2 forward = ivec2(greaterThan(ray.along.xy, real2(0.0)));
+    bvec2 forward = greaterThan(ray.along.xy, real2(0.0));
     bvec2 moves = notEqual(ray.along.xy, real2(0.0));
-    real t = 0.0;
-    bool above = false;
-    int level = pyramid_top;
-    for (steps = 0; steps < 16384; ++steps) {
-        ivec2 low = (cell >> level) << level;
-        ivec2 high = min(low + (1 << level), pyramid_cells);
-        real2 border = real2(mix(low, high, equal(forward, ivec2(1)))) - ray.from.xy;
-        real2 reached = real2(
-            moves.x ? border.x / ray.along.x : 1e30, moves.y ? border.y / ray.along.y : 1e30
-        );
-        real leave = clamp(min(reached.x, reached.y), t, ray.length);
-        vec2 heights = texelFetch(pyramid, cell >> level, level).xy;
-        real z0 = ray.from.z + t * ray.along.z, z1 = ray.from.z + leave * ray.along.z;
-        if (min(z0, z1) > heights.y) {
-            above = heights.x > 0.5 * UNMEASURED;
-        } else if (max(z0, z1) < heights.x) {
-            above = false;
-        } else if (level > 0) {
-            --level;
-            continue;
-        } else {
-            real hit = hit_in_cell(ray, cell, t, leave, above, triangle);
-            if (hit >= 0.0) return hit;
+    real2 per_texel = real2(moves.x ? 1.0 / ray.along.x : 0.0, moves.y ? 1.0 / ray.along.y : 0.0);
+    Walk walk;
+    walk.cell = clamp(ivec2(floor(ray.from.xy)), ivec2(0), pyramid_cells - 1);
+    walk.level = pyramid_top;
+    walk.enter = 0.0;
+    bool above = false, under_way = true;
+    steps = 0;
+    real hit = -1.0;
+    // Without a graphics card both branches of every condition are gone through, and only loops are
+    // not: so squares are passed in a loop of their own, and cells looked into outside it.
+    while (under_way) {
+        bool near = false;
+        while (under_way && !near) {
+            walk.low = (walk.cell >> walk.level) << walk.level;
+            walk.high = min(walk.low + (1 << walk.level), pyramid_cells);
+            real2 border = real2(mix(walk.low, walk.high, forward)) - ray.from.xy;
+            real2 reached = real2(
+                moves.x ? border.x * per_texel.x : 1e30, moves.y ? border.y * per_texel.y : 1e30
+            );
+            walk.crosses = bvec2(reached.x <= reached.y, reached.x > reached.y);
+            walk.leave = clamp(min(reached.x, reached.y), walk.enter, ray.length);
+            vec2 heights = texelFetch(pyramid, walk.cell >> walk.level, walk.level).xy;
+            real z0 = ray.from.z + walk.enter * ray.along.z;
+            real z1 = ray.from.z + walk.leave * ray.along.z;
+            bool over = min(z0, z1) > heights.y, under = max(z0, z1) < heights.x;
+            if (over || under) {
+                above = over && heights.x > 0.5 * UNMEASURED;
+                under_way = go_on(ray, forward, walk);
+            } else {
+                near = walk.level == 0;
+                walk.level = max(walk.level - 1, 0);
+            }
+            under_way = under_way && ++steps < 16384;
         }
-        if (leave >= ray.length) break;
-        t = leave;
-        ivec2 here = clamp(ivec2(floor(ray.from.xy + t * ray.along.xy)), low, high - 1);
-        ivec2 before = cell;
-        cell = reached.x <= reached.y
-            ? ivec2(forward.x == 1 ? high.x : low.x - 1, here.y)
-            : ivec2(here.x, forward.y == 1 ? high.y : low.y - 1);
-        if (any(lessThan(cell, ivec2(0))) || any(greaterThanEqual(cell, pyramid_cells))) break;
-        // Up again only where a larger square was left.
-        if (level < pyramid_top && (before >> (level + 1)) != (cell >> (level + 1))) ++level;
+        if (near) {
+            hit = hit_in_cell(ray, walk.cell, walk.enter, walk.leave, above, triangle);
+            cell = walk.cell;
+            under_way = under_way && hit < 0.0 && go_on(ray, forward, walk);
+        }
     }
-    return real(-1.0);
+    return hit;
 }
