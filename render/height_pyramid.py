@@ -44,18 +44,22 @@ def min_max_pyramid(height: NDArray[np.float32]) -> list[NDArray[np.float32]]:
 
     Returns
     -------
-    list of (rows, cols, 2) float32 arrays
-        Sides are powers of two. The least is ``GAP`` where a square has a gap or reaches beyond the
-        grid; the greatest is where it has nothing else.
+    list of (rows, cols, 3) float32 arrays
+        Sides are powers of two. The least height that was measured, the greatest, and 1 where
+        nothing is missing, 0 where a square has a gap or reaches beyond the grid. Where nothing
+        was measured they are ``-GAP`` and ``GAP``.
     """
     rows, cols = (max(side - 1, 1) for side in height.shape)
     corners = [height[i : i + rows, j : j + cols] for i in (0, 1) for j in (0, 1)]
     corners = [corner for corner in corners if corner.shape == (rows, cols)]
-    level = np.full((_power_of_two(rows), _power_of_two(cols), 2), GAP, np.float32)
+    level = np.empty((_power_of_two(rows), _power_of_two(cols), 3), np.float32)
+    level[...] = -GAP, GAP, 0
     # Without a second row or column there is no cell, and nothing to hit.
     if len(corners) == 4:
-        level[:rows, :cols, 0] = np.minimum.reduce(corners)
+        measured = [np.where(corner == GAP, -GAP, corner) for corner in corners]
+        level[:rows, :cols, 0] = np.minimum.reduce(measured)
         level[:rows, :cols, 1] = np.maximum.reduce(corners)
+        level[:rows, :cols, 2] = np.minimum.reduce(corners) != GAP
     levels = [level]
     while max(levels[-1].shape[:2]) > 1:
         levels.append(_halved(levels[-1]))
@@ -69,8 +73,10 @@ def _power_of_two(side: int) -> int:
 def _halved(level: NDArray[np.float32]) -> NDArray[np.float32]:
     rows, cols = level.shape[:2]
     down, across = min(rows, 2), min(cols, 2)
-    blocks = level.reshape(rows // down, down, cols // across, across, 2)
-    return np.stack([blocks[..., 0].min(axis=(1, 3)), blocks[..., 1].max(axis=(1, 3))], axis=-1)
+    blocks = level.reshape(rows // down, down, cols // across, across, 3)
+    halved = blocks.min(axis=(1, 3))
+    halved[..., 1] = blocks[..., 1].max(axis=(1, 3))
+    return halved
 
 
 def cone_slopes(

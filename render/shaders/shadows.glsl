@@ -29,6 +29,6 @@ float unshadowed(vec3 point, vec3 to_light) {
     }
     if (leave <= 0.0) return 1.0;
     int steps;
-    Ray ray = Ray(dvec3(from), real3(from), real3(along), real(leave));
+    Ray ray = Ray(real3(from), real3(along), real(leave));
     return first_hit(ray, steps, cell, triangle) < 0.0 ? 1.0 : 0.0;
 }

@@ -15,7 +15,7 @@
 #define real4 vec4
 #endif
 uniform sampler2D pyramid_heights;  // mm; UNMEASURED where nothing was measured
-uniform sampler2D pyramid;  // least and greatest height of squares of cells; UNMEASURED if any is
+uniform sampler2D pyramid;  // least and greatest height of squares of cells, and if nothing is missing
 uniform ivec2 pyramid_cells;
 uniform int pyramid_top;
 const float UNMEASURED = -1e30;
@@ -48,7 +48,7 @@ bool triangle_at(real4 corners, bvec4 missing, real2 place, out real3 triangle) 
 }
 
 // Places of a ray: texels to the right, texels down, mm towards the viewer.
-struct Ray { dvec3 start; real3 from; real3 along; real length; };
+struct Ray { real3 from; real3 along; real length; };
 
 // First crossing from above within the two triangles of a cell, between two places of the ray;
 // below zero where there is none. `above` tells whether the ray came to the cell above its surface.
@@ -60,7 +60,7 @@ real hit_in_cell(
     bvec4 missing = lessThan(heights, vec4(0.5 * UNMEASURED));
     real4 corners = real4(heights);
     bool falling = diagonal_falls(missing);
-    real2 start = real2(ray.start.xy - dvec2(cell));
+    real2 start = ray.from.xy - real2(cell);
     real turn = falling ? ray.along.x + ray.along.y : ray.along.x - ray.along.y;
     real side = falling ? start.x + start.y - 1.0 : start.x - start.y;
     real split = turn != 0.0 ? -side / turn : leave;
@@ -109,7 +109,9 @@ real first_hit(Ray ray, out int steps, out ivec2 cell, out real3 triangle) {
     real2 per_texel = real2(moves.x ? 1.0 / ray.along.x : 0.0, moves.y ? 1.0 / ray.along.y : 0.0);
     Walk walk;
     walk.cell = clamp(ivec2(floor(ray.from.xy)), ivec2(0), pyramid_cells - 1);
-    walk.level = pyramid_top;
+    // Larger squares than the ray runs over are only looked into.
+    real across = ray.length * max(abs(ray.along.x), abs(ray.along.y));
+    walk.level = clamp(int(log2(max(float(across), 1.0))), 0, pyramid_top);
     walk.enter = 0.0;
     bool above = false, under_way = true;
     steps = 0;
@@ -127,12 +129,12 @@ real first_hit(Ray ray, out int steps, out ivec2 cell, out real3 triangle) {
             );
             walk.crosses = bvec2(reached.x <= reached.y, reached.x > reached.y);
             walk.leave = clamp(min(reached.x, reached.y), walk.enter, ray.length);
-            vec2 heights = texelFetch(pyramid, walk.cell >> walk.level, walk.level).xy;
+            vec3 heights = texelFetch(pyramid, walk.cell >> walk.level, walk.level).xyz;
             real z0 = ray.from.z + walk.enter * ray.along.z;
             real z1 = ray.from.z + walk.leave * ray.along.z;
             bool over = min(z0, z1) > heights.y, under = max(z0, z1) < heights.x;
             if (over || under) {
-                above = over && heights.x > 0.5 * UNMEASURED;
+                above = over && heights.z > 0.5;
                 under_way = go_on(ray, forward, walk);
             } else {
                 near = walk.level == 0;

@@ -9,8 +9,8 @@ from render.height_pyramid import GAP, Heading, cone_slopes, min_max_pyramid
 def test_every_square_holds_the_heights_of_its_cells():
     height = np.random.default_rng(0).standard_normal((21, 45)).astype(np.float32)
     levels = min_max_pyramid(height)
-    assert levels[0].shape == (32, 64, 2)
-    assert levels[-1].shape == (1, 1, 2)
+    assert levels[0].shape == (32, 64, 3)
+    assert levels[-1].shape == (1, 1, 3)
     for number, level in enumerate(levels):
         side = 2**number
         for row in range(0, 20 // side):
@@ -20,20 +20,28 @@ def test_every_square_holds_the_heights_of_its_cells():
                 assert level[row, col, 1] == part.max()
 
 
-def test_gaps_and_what_is_beyond_the_grid_have_no_least_height():
+def test_squares_know_what_was_measured_and_whether_anything_is_missing():
     height = np.ones((5, 5), np.float32)
     height[2, 2] = GAP
+    height[0, 0] = -3
     first, second, top = min_max_pyramid(height)
-    assert (first[1:3, 1:3, 0] == GAP).all()
-    assert (first[..., 1] == 1).all()
-    assert first[0, 0, 0] == 1
-    assert (second[..., 0] == GAP).all()
-    assert top[0, 0].tolist() == [GAP, 1]
+    assert (first[1:3, 1:3] == [1, 1, 0]).all()
+    assert first[0, 0].tolist() == [-3, 1, 1]
+    assert first[0, 3].tolist() == [1, 1, 1]
+    assert second[0, 0].tolist() == [-3, 1, 0]
+    assert top[0, 0].tolist() == [-3, 1, 0]
+
+
+def test_what_is_beyond_the_grid_is_missing():
+    levels = min_max_pyramid(np.ones((4, 6), np.float32))
+    assert levels[0][3, 0].tolist() == [-GAP, GAP, 0]
+    assert levels[1][1, 0].tolist() == [1, 1, 0]
+    assert levels[1][0, 0].tolist() == [1, 1, 1]
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 7), (7, 1)])
 def test_single_rows_have_no_cell(shape):
-    assert (min_max_pyramid(np.ones(shape, np.float32))[-1] == GAP).all()
+    assert min_max_pyramid(np.ones(shape, np.float32))[-1].tolist() == [[[-GAP, GAP, 0]]]
 
 
 def test_no_height_stands_in_a_cone():
