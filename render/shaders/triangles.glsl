@@ -104,9 +104,10 @@ bool go_on(Ray ray, bvec2 forward, inout Walk walk) {
 
 // Place of the first hit along the ray; below zero where there is none.
 real first_hit(Ray ray, out int steps, out ivec2 cell, out real3 triangle) {
-    bvec2 forward = greaterThan(ray.along.xy, real2(0.0));
-    bvec2 moves = notEqual(ray.along.xy, real2(0.0));
-    real2 per_texel = real2(moves.x ? 1.0 / ray.along.x : 0.0, moves.y ? 1.0 / ray.along.y : 0.0);
+    bvec2 forward = greaterThanEqual(ray.along.xy, real2(0.0));
+    // A ray that does not move is never across.
+    real2 slow = max(abs(ray.along.xy), real2(1e-30));
+    real2 per_texel = real2(forward.x ? 1.0 : -1.0, forward.y ? 1.0 : -1.0) / slow;
     Walk walk;
     walk.cell = clamp(ivec2(floor(ray.from.xy)), ivec2(0), pyramid_cells - 1);
     // Larger squares than the ray runs over are only looked into.
@@ -124,9 +125,7 @@ real first_hit(Ray ray, out int steps, out ivec2 cell, out real3 triangle) {
             walk.low = (walk.cell >> walk.level) << walk.level;
             walk.high = min(walk.low + (1 << walk.level), pyramid_cells);
             real2 border = real2(mix(walk.low, walk.high, forward)) - ray.from.xy;
-            real2 reached = real2(
-                moves.x ? border.x * per_texel.x : 1e30, moves.y ? border.y * per_texel.y : 1e30
-            );
+            real2 reached = border * per_texel;
             walk.crosses = bvec2(reached.x <= reached.y, reached.x > reached.y);
             walk.leave = clamp(min(reached.x, reached.y), walk.enter, ray.length);
             vec3 heights = texelFetch(pyramid, walk.cell >> walk.level, walk.level).xyz;
