@@ -64,8 +64,8 @@ class PaintingRenderer(pyrender.renderer.Renderer):
     room_light : RoomLight
         Of pictures with shadows: those with the flag ``SHADOWS_SPOT``.
     painting_cpu_s : float or None
-        Where it is a number, the processor time of drawing paintings is added to it, and every
-        draw is waited for.
+        Where it is a number, the processor time of drawing paintings is added to it, of what a
+        view needs made ready too, and every draw is waited for.
     """
 
     _main_fb: Any
@@ -123,6 +123,7 @@ class PaintingRenderer(pyrender.renderer.Renderer):
             yield node
 
     def _look(self, primitive: BoundedPrimitive, scene: Any, pose: NDArray[np.float64]) -> None:
+        began = time.process_time()
         camera = scene.main_camera_node
         projection = camera.camera.get_projection_matrix(self.viewport_width, self.viewport_height)
         away = scene.get_pose(camera)[:3, 3] - pose[:3, 3]
@@ -131,6 +132,8 @@ class PaintingRenderer(pyrender.renderer.Renderer):
         for texture in primitive.material.textures - self._mesh_textures:
             texture._add_to_context()
             self._mesh_textures.add(texture)
+        if self.painting_cpu_s is not None:
+            self.painting_cpu_s += time.process_time() - began
 
     def _bind_lighting(self, scene: Any, program: Any, node: Any, flags: int) -> None:
         self._camera_pose = scene.get_pose(scene.main_camera_node)

@@ -18,7 +18,7 @@ from workstation.benchmarks.render_cases import Case, Work, time_ratio
 from workstation.benchmarks.render_path import Popping, switches
 from workstation.benchmarks.render_rays import TriangleRays
 from workstation.benchmarks.render_scenes import OIL, SIZES, RenderedScene
-from workstation.benchmarks.render_tables import table_1
+from workstation.benchmarks.render_tables import order_of_sizes, table_1
 
 MS = {
     Mode.MESH: [300.0, 310.0],
@@ -79,6 +79,14 @@ def test_the_first_table_tells_where_its_order_is_not_the_papers():
     assert len(found) == len(NamedView) * (len(Mode) - 1)
     note = found["table1.near-front.adaptive_over_mesh"].note
     assert "fastest to slowest relief, adaptive, hybrid, mesh, the paper's mesh" in note
+    assert "relief 1.00 fragments and 2.0 steps" in note
+
+
+def test_the_second_table_tells_where_its_order_is_not_the_papers():
+    paper = {20: 1.0, 5: 2.0, 10: 3.0, 50: 4.0, 100: 5.0}
+    assert order_of_sizes(paper, "front").endswith("as in the paper")
+    other = order_of_sizes(dict(zip(paper, range(5, 0, -1), strict=True)), "front")
+    assert "size 100, 50, 10, 5, 20, the paper's 20, 5, 10, 50, 100" in other
 
 
 def rough_triangles():
@@ -128,10 +136,14 @@ def test_halving_is_a_slope_of_one():
 
 def test_one_popping_frame_or_switch_is_enough_to_fail():
     excess = {Mode.BOUNDED: [0.0, 0.003, 0.0], Mode.ADAPTIVE: [0.0, 0.01, 0.0]}
-    frame, adaptive, switch = Popping(excess, [("a to b", 0.0001)]).records()
+    frame, adaptive, count, switch = Popping(excess, [("a to b", 0.0001)]).records()
     assert not frame.holds
     assert adaptive.value == 0.01
+    assert count.value == 1
+    assert count.holds
     assert switch.holds
+    none = Popping(excess, []).records()
+    assert not any(record.holds for record in none if "switch" in record.name)
 
 
 def test_every_switch_between_two_frames_is_found():

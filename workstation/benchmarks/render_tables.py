@@ -7,6 +7,7 @@ from statistics import median
 
 import numpy as np
 
+from fitting.digital_copy import DigitalCopy
 from fitting.relief_classification import ReliefOptions, classify_relief
 from render.adaptive import AdaptiveOptions
 from render.painter import Painter
@@ -14,7 +15,7 @@ from render.painting_node import Mode
 from render.views import NamedView, View, named_view
 from workstation.benchmark_records import Record
 from workstation.benchmarks.render_bounds import UNBOUNDED, at_most
-from workstation.benchmarks.render_cases import Case, find_cases, time_ratio
+from workstation.benchmarks.render_cases import Case, Work, find_cases, time_ratio
 from workstation.benchmarks.render_scenes import OIL, SIZES, RenderedScene
 
 _PAPER_MODES = (Mode.MESH, Mode.RELIEF, Mode.HYBRID, Mode.ADAPTIVE)
@@ -40,18 +41,13 @@ _TABLE_2_ELEVATIONS = {"front": 82.0, "intermediate": 45.0, "grazing": 15.0}
 _TABLE_2_OPTIONS = AdaptiveOptions(K=4.0)
 _TABLE_2_TURNS = 5
 _USUAL_CELL = 20
-_WHY = {
-    Mode.MESH: "here every triangle costs processor time, however small",
-    Mode.RELIEF: "on a processor relief mapping ends with the search, without a pass before it",
-    Mode.HYBRID: "here plane and boxes are both shaded where boxes stand",
-    Mode.ADAPTIVE: "α of eq. 2 draws nearly every box of so rough a painting",
-}
 
 
 def table_1(cases: list[Case]) -> list[Record]:
     """Times over the mesh's; over relief mapping's, and the paper's own, in the notes.
 
-    Every view has a note on the order of the four columns where it is not the paper's.
+    Every view has a note on the order of the four columns, and on the work that makes it where it
+    is not the paper's.
     """
     records = []
     width, height = SIZES[0]
@@ -76,21 +72,29 @@ def table_1(cases: list[Case]) -> list[Record]:
 
 
 def _order(found: dict[str, Case], paper: dict[Mode, float]) -> str:
-    """The order of the four columns where it is not the paper's, and why."""
+    """The order of the four columns; where it is not the paper's, the work that makes it."""
     ours = sorted(_PAPER_MODES, key=lambda mode: median(found[mode].pass_ms))
     theirs = sorted(_PAPER_MODES, key=lambda mode: -paper[mode])
     if ours == theirs:
         return "; fastest to slowest as in the paper"
-    slower = [mode for mode in ours if ours.index(mode) > theirs.index(mode)]
-    return f"; fastest to slowest {', '.join(ours)}, the paper's {', '.join(theirs)}: " + "; ".join(
-        _WHY[mode] for mode in slower
+    done = ", ".join(f"{mode} {_described(found[mode].work)}" for mode in ours)
+    boxes = found[Mode.ADAPTIVE]
+    return (
+        f"; fastest to slowest {', '.join(ours)}, the paper's {', '.join(theirs)}: a covered pixel "
+        f"has of {done}; α draws {boxes.boxes_opaque + boxes.boxes_blended} of "
+        f"{found[Mode.HYBRID].boxes_opaque} boxes, {boxes.boxes_blended} of them blended"
     )
+
+
+def _described(work: Work) -> str:
+    return f"{work.fragments:.2f} fragments and {work.steps:.1f} steps"
 
 
 def table_2(scene: RenderedScene) -> list[Record]:
     """Adaptive rendering by box size, as times over those of boxes of 20 texels.
 
-    Times over the mesh's and over relief mapping's are in the notes.
+    Times over the mesh's and over relief mapping's are in the notes, and the work that makes them;
+    on the smallest boxes, the order of the sizes where it is not the paper's.
     """
     width, height = SIZES[0]
     distance = named_view(scene.copy, NamedView.INSHOT_FRONT, aspect=width / height).distance_mm
@@ -122,6 +126,11 @@ def table_2(scene: RenderedScene) -> list[Record]:
                 # The first compiles and uploads.
                 if turn:
                     ms.setdefault((name, angle), []).append(1000 * cost[0])
+    done = {
+        (n, angle): _work(painters[str(n)], subjects[str(n)][1], view)
+        for n in _TABLE_2
+        for angle, view in views.items()
+    }
     for painter in painters.values():
         painter.close()
 
@@ -136,9 +145,37 @@ def table_2(scene: RenderedScene) -> list[Record]:
                 f"{len(subjects[str(n)][1].relief.boxes)} boxes, "
                 f"{median(ms[str(n), angle]):.1f} ms, {over(str(n), Mode.MESH, angle):.2f} of the "
                 f"mesh, {over(str(n), Mode.RELIEF, angle):.2f} of relief mapping; "
-                f"the paper's {usual / paper:.2g} of boxes of {_USUAL_CELL}"
+                f"the paper's {usual / paper:.2g} of boxes of {_USUAL_CELL}; a pixel has "
+                f"{_described(done[n, angle])}"
             )
+            if n == min(_TABLE_2):
+                note += order_of_sizes({n: median(ms[str(n), angle]) for n in _TABLE_2}, angle)
             value = over(str(n), str(_USUAL_CELL), angle)
             name = f"table2.{n}.{angle}_over_{_USUAL_CELL}"
             records.append(at_most(name, value, "", UNBOUNDED, note, runs=_TABLE_2_TURNS))
     return records
+
+
+def _work(painter: Painter, copy: DigitalCopy, view: View) -> Work:
+    """Of the adaptive mode, by pixels that it draws."""
+    width, height = SIZES[0]
+    work = painter.work(
+        *(copy, view),
+        mode=Mode.ADAPTIVE,
+        width=width,
+        height=height,
+        adaptive=_TABLE_2_OPTIONS,
+    )
+    steps, fragments = work.sum(axis=(0, 1)) / max(int((work[..., 1] > 0).sum()), 1)
+    return Work(float(fragments), float(steps))
+
+
+def order_of_sizes(ms: dict[int, float], angle: str) -> str:
+    """Sizes from the fastest to the slowest where the paper has them otherwise."""
+    place = list(_TABLE_2_ELEVATIONS).index(angle)
+    ours = sorted(_TABLE_2, key=lambda n: ms[n])
+    theirs = sorted(_TABLE_2, key=lambda n: -_TABLE_2[n][place])
+    if ours == theirs:
+        return "; fastest to slowest size as in the paper"
+    listed = [", ".join(str(n) for n in order) for order in (ours, theirs)]
+    return f"; fastest to slowest size {listed[0]}, the paper's {listed[1]}, by that work"
