@@ -9,9 +9,11 @@ from its residuals in all views and lenses by linear least squares,
 
 and what it does to the pixels is taken out of the observations before the lenses are solved again
 (Strobl & Hirzinger 2011, "More accurate pinhole camera calibration with imperfect planar target").
-The scale, shear and plane of :math:`\delta` and its parabolic bow are removed: those are the
-board's nominal size, its pose and mrcal's warp. The prior :math:`\Lambda` is the inverse of the
-displacements' own variance, which shrinks them to nothing on a good board.
+The scale and plane of :math:`\delta` and its parabolic bow are removed: those are the board's
+nominal size, its pose and mrcal's warp. Its shear and the difference of scale along rows and
+columns stay: paper is seldom printed square, and a thousandth of shear is else taken for focal
+lengths and centres. The prior :math:`\Lambda` is the inverse of the displacements' own variance,
+which shrinks them to nothing on a good board.
 """
 
 from __future__ import annotations
@@ -26,7 +28,9 @@ from calibration.errors import CalibrationError
 from calibration.lens import compose, rotation, transform
 from calibration.mrcal_solve import LensSolution, resolve
 
-_ROUNDS = 8
+_ROUNDS = 30
+# Change of the displacements that is left, over their standard errors.
+_SETTLED = 0.02
 _LEAST_EQUATIONS = 8
 
 
@@ -77,15 +81,33 @@ def solve_with_shape(
     if len(views) < 3:
         raise CalibrationError("the shape of a board takes three views at least")
     parameters = 0
-    before = np.inf
     shape = BoardShape(*np.zeros((2, *solution.board_points.shape)))
+    last: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
     for _ in range(_ROUNDS):
-        shape, parameters = _shape(solution, views)
+        found, parameters = _shape(solution, views)
+        change = found.displacement_mm - shape.displacement_mm
+        shape = replace(found, displacement_mm=_accelerated(found.displacement_mm, change, last))
+        last = found.displacement_mm, change
         solution = resolve(solution, _flattened(solution, views, shape))
-        if before - solution.sigma0 < 1e-4 * solution.sigma0:
+        if np.sum(change**2) < _SETTLED**2 * np.sum(shape.sigma_mm**2):
             break
-        before = solution.sigma0
     return _with_parameters(solution, parameters), shape
+
+
+def _accelerated(
+    found: NDArray[np.float64],
+    change: NDArray[np.float64],
+    last: tuple[NDArray[np.float64], NDArray[np.float64]] | None,
+) -> NDArray[np.float64]:
+    """The secant step of a fixed-point iteration (Anderson 1965, of depth one).
+
+    Shear and lenses explain much of one another, so that solving them in turn alone creeps.
+    """
+    if last is None:
+        return found
+    difference = change - last[1]
+    share = np.sum(change * difference) / max(float(np.sum(difference**2)), 1e-30)
+    return np.asarray(found - share * (found - last[0]))
 
 
 def align_turned_views(solution: LensSolution, views: list[BoardView]) -> list[BoardView]:
@@ -131,6 +153,8 @@ def _shape(solution: LensSolution, views: list[BoardView]) -> tuple[BoardShape, 
     covariance = np.zeros((*told.shape, 3, 3))
     if not told.any():
         return BoardShape(displacement, displacement.copy()), 0
+    askew = _askew(normal[told], right[told], told)
+    right[told] -= np.einsum("nab,nb->na", normal[told], askew)
     noise = solution.sigma0**2
     prior = np.full(3, np.inf)
     for _ in range(10):
@@ -145,10 +169,25 @@ def _shape(solution: LensSolution, views: list[BoardView]) -> tuple[BoardShape, 
         if np.isinf(prior).all():
             own = np.maximum(own - 2 * np.mean(np.diagonal(covariance[told], 0, -2, -1), 0), 1e-12)
         prior = own
+    displacement[told] += askew
     # Effective number of parameters: the trace of the smoother.
     parameters = float(np.trace(normal[told] @ np.linalg.inv(full), axis1=-2, axis2=-1).sum())
     sigma = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
     return BoardShape(displacement, sigma), round(parameters)
+
+
+def _askew(
+    normal: NDArray[np.float64], right: NDArray[np.float64], told: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """What shear and stretch alone explain, (corners, 3): no prior says that they are small."""
+    places = np.argwhere(told)[:, ::-1].astype(np.float64)
+    terms = np.zeros((len(places), 3, 2))
+    if len(places) <= 4:
+        return terms[..., 0]
+    terms[:, :2] = shears(places)
+    inner = np.einsum("nai,nab,nbj->ij", terms, normal, terms)
+    found = np.linalg.lstsq(inner, np.einsum("nai,na->i", terms, right), rcond=1e-12)[0]
+    return np.asarray(terms @ found)
 
 
 def _normal_equations(
@@ -178,18 +217,56 @@ def _flattened(
     return [view.moved(-shift) for view, shift in zip(views, moved, strict=True)]
 
 
+def similarities(places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Displacements in the board's plane that are none: shifts, a turn and a change of scale.
+
+    The first three are the board's pose, the last its nominal size. Shear and a difference of scale
+    along rows and columns are the print's own: every view sees them alike.
+
+    Parameters
+    ----------
+    places : (n, 2) array
+        Of the corners, in any unit.
+
+    Returns
+    -------
+    (n, 2, 4) float64 array
+        Orthonormal over all the numbers of a displacement.
+    """
+    x, y = (places - places.mean(axis=0)).T
+    one, nothing = np.ones_like(x), np.zeros_like(x)
+    terms = np.array([[one, nothing, x, -y], [nothing, one, y, x]]).transpose(2, 0, 1)
+    return np.linalg.qr(terms.reshape(-1, 4))[0].reshape(terms.shape)
+
+
+def shears(places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Displacements by which a board is printed askew: shear, and rows stretched against columns.
+
+    Returns
+    -------
+    (n, 2, 2) float64 array
+        Orthonormal, as of :func:`similarities`.
+    """
+    x, y = (places - places.mean(axis=0)).T
+    terms = np.array([[y, x], [x, -y]]).transpose(2, 0, 1)
+    return np.linalg.qr(terms.reshape(-1, 2))[0].reshape(terms.shape)
+
+
 def _without_slow(
     displacement: NDArray[np.float64], told: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
     """Displacements without what scale, pose and bow of the board stand for."""
     cleaned = displacement.copy()
-    plane = _monomials(told.shape, 1)[told.ravel()]
+    flat = displacement[told]
+    if len(flat) > 4:
+        places = np.argwhere(told)[:, ::-1].astype(np.float64)
+        same = similarities(places).reshape(-1, 4)
+        plane = flat[:, :2].ravel()
+        flat[:, :2] = (plane - same @ (same.T @ plane)).reshape(-1, 2)
     bow = np.delete(_monomials(told.shape, 2), 4, axis=1)[told.ravel()]  # the twist stays
-    for axis, slow in ((0, plane), (1, plane), (2, bow)):
-        part = displacement[..., axis][told]
-        if len(part) > slow.shape[1]:
-            part = part - slow @ np.linalg.lstsq(slow, part, rcond=None)[0]
-        cleaned[..., axis][told] = part
+    if len(flat) > bow.shape[1]:
+        flat[:, 2] -= bow @ np.linalg.lstsq(bow, flat[:, 2], rcond=None)[0]
+    cleaned[told] = flat
     return cleaned
 
 
