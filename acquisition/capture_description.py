@@ -170,7 +170,7 @@ class CaptureDescription(_Part):
     """Everything a ``capture.toml`` says.
 
     ``channel`` is what to take from pictures in colour; without it those whose channels differ
-    are refused.
+    are refused. ``camera.mosaic`` is of sensor numbers as they came, which have no channels.
     """
 
     name: str
@@ -192,6 +192,10 @@ class CaptureDescription(_Part):
         names += [name for name in (self.white, self.black) if name is not None]
         if not names:
             raise ValueError("no files are named")
+        if self.projector.mosaic is not None:
+            raise ValueError("a projector's panel has no mosaic")
+        if self.channel is not None and self.camera.mosaic is not None:
+            raise ValueError("camera.mosaic is of sensor numbers, channel of pictures in colour")
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise ValueError(f"{', '.join(twice)}: one file cannot be two patterns")

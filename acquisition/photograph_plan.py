@@ -103,7 +103,7 @@ def plan_photographs(rig: Rig, choices: PhotographChoices) -> Plan:
     if warm_up_s is None:
         warm_up_s = 0.0 if rig.source == "simulation" else _WARM_UP_S
     return Plan(
-        camera=Imager(width=camera.width, height=camera.height),
+        camera=Imager(width=camera.width, height=camera.height, mosaic=camera.bayer),
         projector=Imager(width=projector.width, height=projector.height),
         crop=Crop(column=0, row=0, width=camera.width, height=camera.height),
         saturation_level=camera.saturation_level,

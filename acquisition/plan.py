@@ -25,6 +25,7 @@ from pydantic import (
 
 from acquisition.patterns import BLACK, WHITE, Axis, Pattern, PhaseShift, Uniform
 from acquisition.projector_response import ProjectorResponse
+from devices.bayer import BayerPattern
 from devices.interfaces import ArmPose
 
 FrameId = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$", max_length=64)]
@@ -55,10 +56,24 @@ class _PlanPart(BaseModel):
 
 
 class Imager(_PlanPart):
-    """Size of a sensor or panel in pixels."""
+    """Size of a sensor or panel in pixels.
+
+    Attributes
+    ----------
+    width, height : int
+    mosaic : BayerPattern or None
+        Order of a sensor's colours from its first pixel; None if it is monochrome, or where nobody
+        said.
+    """
 
     width: int = Field(gt=0)
     height: int = Field(gt=0)
+    mosaic: BayerPattern | None = None
+
+    @model_serializer(mode="wrap")
+    def _without_defaults(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out a mosaic that there is not: plans read and write as they always did."""
+        return _less_defaults(self, handler(self), ("mosaic",))
 
 
 class Crop(_PlanPart):
@@ -320,6 +335,8 @@ class Plan(_PlanPart):
     def _consistent(self) -> Plan:
         ids = [frame.id for frame in self.frames]
         doubled = sorted({i for i in ids if ids.count(i) > 1}) if len(set(ids)) < len(ids) else []
+        if self.projector.mosaic is not None:
+            raise ValueError("a projector's panel has no mosaic")
         if doubled:
             raise ValueError(f"frame ids occur more than once: {', '.join(doubled)}")
         if (

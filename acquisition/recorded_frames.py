@@ -117,6 +117,7 @@ def recording_of(session: Session) -> Recording:
             height=plan.camera.height,
             saturation_level=plan.saturation_level,
             exposure_range_s=_EXPOSURE_RANGE_S,
+            bayer=plan.camera.mosaic,
         ),
         projector=ProjectorCapabilities(
             model="replayed projector",

@@ -255,6 +255,14 @@ def _check_devices(plan: Plan, rig: Rig) -> None:
                 f"the plan is for a {name} of {planned.width}×{planned.height} pixels, this one "
                 f"has {device.size[0]}×{device.size[1]}; connect the right one, or make a new plan"
             )
+    mosaic = rig.camera.capabilities.bayer
+    # Plans of earlier versions do not say which.
+    if plan.camera.mosaic not in (None, mosaic):
+        raise DeviceError(
+            f"the plan is for a camera with a mosaic of {plan.camera.mosaic}, this one "
+            f"{'is monochrome' if mosaic is None else f'has {mosaic}'}; connect the right one, set "
+            "its pixel format back, or make a new plan"
+        )
     saturation = rig.camera.capabilities.saturation_level
     if saturation != plan.saturation_level:
         raise DeviceError(

@@ -59,6 +59,7 @@ def plan_scan(
     """
     return plan_structured_light(
         camera_size=rig.camera.capabilities.size,
+        mosaic=rig.camera.capabilities.bayer,
         projector_size=rig.projector.capabilities.size,
         saturation_level=rig.camera.capabilities.saturation_level,
         exposure_s=exposure_s,
@@ -93,6 +94,7 @@ def plan_response_scan(rig: Rig, *, greys: int = 17, exposure_s: tuple[float, ..
     """
     return plan_greys(
         camera_size=rig.camera.capabilities.size,
+        mosaic=rig.camera.capabilities.bayer,
         projector_size=rig.projector.capabilities.size,
         saturation_level=rig.camera.capabilities.saturation_level,
         exposure_s=exposure_s,

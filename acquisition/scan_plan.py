@@ -12,6 +12,7 @@ from acquisition.errors import SessionError
 from acquisition.patterns import BLACK, WHITE, Axis, Gray, PhaseShift, Uniform
 from acquisition.plan import Crop, Imager, Metering, Plan, PlannedFrame
 from acquisition.projector_response import LEVELS, ProjectorResponse
+from devices.bayer import BayerPattern
 
 _LONGEST_CODE = 24
 
@@ -28,6 +29,7 @@ def plan_structured_light(
     inverse: bool = False,
     metering: Metering | None = None,
     response: ProjectorResponse | None = None,
+    mosaic: BayerPattern | None = None,
     source: str = "rig",
 ) -> Plan:
     """Plan a scan by phase shift: white, black, then every axis from coarse to fine.
@@ -60,8 +62,9 @@ def plan_structured_light(
         By what frames that no pixel needs are left out; by default, all are taken.
     response : ProjectorResponse, optional
         Of the projector, by which fringes are compensated.
+    mosaic : BayerPattern, optional
+        Of the camera; kept in the plan, as is ``source``.
     source : str
-        Kept in the plan.
 
     Returns
     -------
@@ -82,6 +85,7 @@ def plan_structured_light(
         patterns,
         exposures,
         camera_size=camera_size,
+        mosaic=mosaic,
         projector_size=projector_size,
         saturation_level=saturation_level,
         metering=metering,
@@ -97,13 +101,14 @@ def plan_greys(
     saturation_level: int,
     exposure_s: tuple[float, ...],
     greys: int = 17,
+    mosaic: BayerPattern | None = None,
     source: str = "rig",
 ) -> Plan:
     """Plan uniform greys, which tell the projector's response.
 
     Parameters
     ----------
-    camera_size, projector_size, saturation_level, exposure_s, source
+    camera_size, projector_size, saturation_level, exposure_s, mosaic, source
         As of :func:`plan_structured_light`.
     greys : int
         Levels in even steps from black to white.
@@ -125,6 +130,7 @@ def plan_greys(
         [WHITE, BLACK, *between],
         sorted(exposure_s),
         camera_size=camera_size,
+        mosaic=mosaic,
         projector_size=projector_size,
         saturation_level=saturation_level,
         source=source,
@@ -136,13 +142,14 @@ def _plan(
     exposures_s: list[float],
     *,
     camera_size: tuple[int, int],
+    mosaic: BayerPattern | None,
     projector_size: tuple[int, int],
     **parts: Any,
 ) -> Plan:
     width, height = camera_size
     shots = [(pattern, exposure) for pattern in patterns for exposure in exposures_s]
     return Plan(
-        camera=Imager(width=width, height=height),
+        camera=Imager(width=width, height=height, mosaic=mosaic),
         projector=Imager(width=projector_size[0], height=projector_size[1]),
         crop=Crop(column=0, row=0, width=width, height=height),
         frames=tuple(

@@ -15,6 +15,7 @@ from acquisition.merged_photographs import (
 )
 from acquisition.plan import PlannedFrame
 from acquisition.session import Session
+from acquisition.session_mosaic import mosaic_of
 from calibration.errors import CalibrationError
 from calibration.mosaics import mosaic_channels
 from devices.bayer import BayerPattern
@@ -62,13 +63,14 @@ class ArmPhotographs:
         place : str, optional
             Of the camera: that of the rig's calibration; by default the session's first.
         mosaic : BayerPattern, optional
+            By default what the session says.
 
         Raises
         ------
         CalibrationError
             There are no photographs from that place.
         SessionError
-            A frame was altered, or the noise cannot be told.
+            A frame was altered, the noise cannot be told, or the session says another mosaic.
         """
         where = place or next(iter(session.plan.camera_positions), None)
         brackets = [b for b in photograph_brackets(session) if b[0].camera_position == where]
@@ -80,7 +82,7 @@ class ArmPhotographs:
             )
         merger = PhotographMerger.of(session, where)
         drift = lamp_drift_by_place(session).get(where, lambda time: 1.0)
-        return cls(session, where, mosaic, tuple(brackets), merger, drift)
+        return cls(session, where, mosaic_of(session, mosaic), tuple(brackets), merger, drift)
 
     @property
     def poses(self) -> tuple[ArmPose, ...]:

@@ -68,7 +68,7 @@ class Extras:
     chart : Path or None
         Photographs with a colour chart.
     mosaic : BayerPattern or None
-        Order of the camera's colours.
+        Order of the camera's colours; by default what the sessions say.
     """
 
     lights: LightsAsked | None

@@ -12,13 +12,11 @@ from acquisition.session import Session
 from calibration.procam import ProcamOptions
 from devices.simulated.arm_targets import white_reflectance
 from fitting.reflectance.maps import MapOptions
-from fitting.reflectance.recorded_photographs import PhotographOptions
 from workstation.board_poses import find_sessions, measure_poses
 from workstation.demo_recording import (
     BOARD,
     BOARD_FOLDER,
     LIGHTS_SESSION,
-    MOSAIC,
     PHOTOGRAPHS_SESSION,
     SCAN_SESSION,
     SPHERE_MM,
@@ -53,7 +51,6 @@ def calibrate_arm(sessions: Path, done: CalibratedRig, out: Path) -> CalibratedL
     options = LightOptions(
         sphere_mm=SPHERE_MM,
         albedo=white_reflectance(),
-        mosaic=MOSAIC,
     )
     rig = done.calibration.rig_with_covariance()
     lights = calibrate_lights(rig, sessions / LIGHTS_SESSION, options=options)
@@ -78,7 +75,6 @@ def process_demo(
     stages : StageCache
     """
     options = ProcessingOptions(
-        photographs=PhotographOptions(mosaic=MOSAIC),
         reflectance=ReflectanceOptions(maps=MapOptions(clusters=capture.clusters)),
     )
     done = process_session(sessions / SCAN_SESSION, options=options, stages=stages)

@@ -21,6 +21,7 @@ from acquisition.correspondence import CorrespondenceMap
 from acquisition.decoding import DecodingOptions, decode
 from acquisition.plan import Purpose
 from acquisition.session import JOURNAL_FILE, Session
+from acquisition.session_mosaic import mosaic_of, warning_of_colours
 from calibration.errors import CalibrationError
 from calibration.registration import RegisteredView, register_photographs
 from calibration.rig_geometry import RigGeometry
@@ -88,6 +89,8 @@ class PhotographStages:
         The reflectance.
     figures : StageResult
         What came of both, as plain JSON values.
+    warnings : tuple of str
+        What is doubtful about the photographs.
     """
 
     digest: str
@@ -95,6 +98,7 @@ class PhotographStages:
     views: StageResult[dict[str | None, RegisteredView]]
     added: StageResult[AddedReflectance]
     figures: StageResult[dict[str, Any]]
+    warnings: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -141,7 +145,8 @@ class Processed:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What was ambiguous or doubtful on the way."""
-        return tuple(self._scan_figures.get()["warnings"])
+        doubts = () if self.photographs is None else self.photographs.warnings
+        return (*self._scan_figures.get()["warnings"], *doubts)
 
     @cached_property
     def copy(self) -> DigitalCopy:
@@ -165,6 +170,7 @@ class Processed:
         figures = self._scan_figures.get() | self._relief.get()[1]
         if self.photographs is not None:
             figures["reflectance"] = self.photographs.figures.get()
+            figures["warnings"] = list(self.warnings)
         return figures
 
     def _provenance(self) -> dict[str, Any]:
@@ -288,8 +294,11 @@ def add_photographs(processed: Processed, path: Path, lamps: Path) -> Processed:
     ImpastoError
         From any stage.
     """
-    options, stages = processed.options, processed.stages
-    session = Session.open(path)
+    session, stages = Session.open(path), processed.stages
+    mosaic = mosaic_of(session, processed.options.photographs.mosaic)
+    read = replace(processed.options.photographs, mosaic=mosaic)
+    options = replace(processed.options, photographs=read)
+    doubt = warning_of_colours(session, mosaic)
     table = LampTable.load(lamps)
     lamps_digest = hashlib.sha256(Path(lamps).read_bytes()).hexdigest()
 
@@ -343,7 +352,11 @@ def add_photographs(processed: Processed, path: Path, lamps: Path) -> Processed:
     )
     return replace(
         processed,
-        photographs=PhotographStages(session.digest, lamps_digest, views, added, figures),
+        options=options,
+        photographs=PhotographStages(
+            *(session.digest, lamps_digest, views, added, figures),
+            warnings=() if doubt is None else (doubt,),
+        ),
     )
 
 

@@ -14,6 +14,7 @@ from acquisition.patterns import Uniform
 from acquisition.plan import Purpose
 from acquisition.response_measurement import measure_response
 from acquisition.session import Session
+from acquisition.session_mosaic import mosaic_of
 from calibration.arm_photographs import ArmPhotographs
 from calibration.colour_chart import (
     PATCHES_LAB,
@@ -128,22 +129,30 @@ def camera_curves(
     )
 
 
-def colour_patches(path: Path, *, mosaic: BayerPattern | None) -> tuple[ColourPatch, ...]:
+def colour_patches(path: Path, *, mosaic: BayerPattern | None = None) -> tuple[ColourPatch, ...]:
     """A ColorChecker's patches before and after correction (``impasto photograph --colour-chart``).
+
+    Parameters
+    ----------
+    path : Path
+        Session.
+    mosaic : BayerPattern, optional
+        By default what the session says.
 
     Raises
     ------
     CalibrationError
         No chart was photographed or found, or the camera is monochrome.
     SessionError
-        The session is damaged.
+        The session is damaged, or says another mosaic.
     """
+    session = Session.open(path)
+    mosaic = mosaic_of(session, mosaic)
     if mosaic is None:
         raise CalibrationError(
             "a colour chart tells a colour camera's matrix: name the order of its colours with "
             "--mosaic"
         )
-    session = Session.open(path)
     brackets = photograph_brackets(session, purpose=Purpose.COLOUR_CHART)
     if not brackets:
         raise CalibrationError(

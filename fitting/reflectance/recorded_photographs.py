@@ -22,6 +22,7 @@ from acquisition.merged_photographs import (
     photograph_brackets,
 )
 from acquisition.session import Session
+from acquisition.session_mosaic import mosaic_of
 from calibration.flat_field import FlatField
 from calibration.lamp import Lamp
 from calibration.lens import invert
@@ -58,7 +59,8 @@ class PhotographOptions:
     Attributes
     ----------
     mosaic : BayerPattern or None
-        Order of the sensor's colours from the first pixel of the full frame; None if monochrome.
+        Order of the sensor's colours from the first pixel of the full frame; by default what the
+        session says, and monochrome where it does not.
     flat_field : (rows, cols) float32 array or None
         What the camera makes of even light, of the frames' size; by default what is known with the
         lamps.
@@ -107,7 +109,7 @@ def read_photographs(
     FittingError
         The session holds no photograph.
     SessionError
-        A frame was altered.
+        A frame was altered, or the session says another mosaic.
     """
     options = options or PhotographOptions()
     brackets = photograph_brackets(session)
@@ -122,7 +124,8 @@ def read_photographs(
         flat_field = lamps.flat_field.gain_picture(
             origin=(crop.column, crop.row), shape=(crop.height, crop.width)
         )
-    grey = options.mosaic is None
+    mosaic = mosaic_of(session, options.mosaic)
+    grey = mosaic is None
     found: list[tuple[str, RegisteredView, Lamp, float]] = []
     with TemporaryFile(prefix="photographs-", dir=scratch) as file:
         pictures = ScratchPictures(file)
@@ -151,7 +154,7 @@ def read_photographs(
             lens=view.lens,
             rt_cam_canvas=view.rt_cam_canvas(rt_rig_canvas),
             lamp=lamp,
-            mosaic=_shifted(options.mosaic, crop.row, crop.column),
+            mosaic=_shifted(mosaic, crop.row, crop.column),
             first_pixel=(crop.column, crop.row),
             exposure=drifted,
             flat_field=flat_field,

@@ -29,7 +29,6 @@ from workstation.demo_recording import (
     BOARD,
     BOARD_FOLDER,
     LIGHTS_SESSION,
-    MOSAIC,
     PHOTOGRAPHS_SESSION,
     SCAN_SESSION,
     SPHERE_MM,
@@ -225,7 +224,7 @@ def _calibrate(inputs: Inputs) -> Command:
 def _calibrate_lights(inputs: Inputs) -> Command:
     place = inputs.targets
     spheres = ("--spheres", str(place / LIGHTS_SESSION), "--sphere-radius", str(SPHERE_MM))
-    white = ("--white-albedo", f"{white_reflectance():.6f}", "--mosaic", str(MOSAIC))
+    white = ("--white-albedo", f"{white_reflectance():.6f}")
     words = _words("calibrate", "--rig", str(place / RIG_FOLDER), *spheres, *white)
 
     def all_words(folder: Path) -> list[str]:
@@ -277,7 +276,7 @@ def _process(inputs: Inputs) -> Command:
 def _process_photographs(inputs: Inputs) -> Command:
     place = inputs.painting
     photographs = ("--photographs", str(place / PHOTOGRAPHS_SESSION))
-    lamps = ("--lamps", str(place / LAMPS_FILE), "--mosaic", str(MOSAIC), "--quality", "draft")
+    lamps = ("--lamps", str(place / LAMPS_FILE), "--quality", "draft")
     words = _words("process", str(place / SCAN_SESSION), *photographs, *lamps)
     return Command("process --photographs", words, _check_copy, kept=_STAGES)
 

@@ -52,7 +52,8 @@ def process(
         bool, typer.Option(help="8-bit pictures of --lp hold linear values, not sRGB's.")
     ] = False,
     mosaic: Annotated[
-        BayerPattern | None, typer.Option(help="Order of the camera's colours, if it has any.")
+        BayerPattern | None,
+        typer.Option(help="Order of the camera's colours, where the photographs do not say."),
     ] = None,
     ggx: Annotated[bool, typer.Option(help="Write the reflectance as microfacets too.")] = False,
     exact_maps: Annotated[
@@ -218,6 +219,7 @@ def _process_scan(
     inputs: _Inputs, out: Path, choices: _Choices, kept: Path | None, *, force: bool
 ) -> dict[str, Any]:
     from acquisition.session import Session
+    from acquisition.session_mosaic import mosaic_of
     from workstation.copy_writing import (
         check_copy_destination,
         files_beside,
@@ -237,6 +239,8 @@ def _process_scan(
     session = Session.open(inputs.session)
     check_copy_destination(out, session.digest, force=force)
     pictures = None if inputs.photographs is None else Session.open(inputs.photographs)
+    if pictures is not None:
+        mosaic_of(pictures, choices.mosaic)
     stages = StageCache(kept)
     expected = expected_seconds(stages, session, photographs=pictures, quality=quality)
     total = sum(expected.values())

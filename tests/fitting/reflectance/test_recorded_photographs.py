@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import dataclasses
 import zlib
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from photographed_relief import lamp, lens, pose_looking_at_origin
 from tiny_rig import HEIGHT, WIDTH, TinyCamera, TinyScene, tiny_rig
 
+from acquisition.errors import SessionError
 from acquisition.photograph_plan import PhotographChoices, plan_photographs
 from acquisition.plan import Purpose
 from acquisition.recording import record_plan
@@ -107,6 +109,17 @@ def test_grey_photographs_say_no_more_in_three_channels_than_in_one(tmp_path):
     assert grey[0].radiance.shape == (HEIGHT, WIDTH, 3)
     assert np.array_equal(grey[0].radiance[..., 2], mosaic[0].radiance)
     assert grey[0].variance[..., 1] == pytest.approx(3 * mosaic[0].variance)
+
+
+class ColourCamera(TinyCamera):
+    capabilities = replace(TinyCamera.capabilities, bayer=BayerPattern.GRBG)
+
+
+def test_the_mosaic_is_what_the_session_says(tmp_path):
+    session = recorded(tmp_path / "s", ColourCamera)
+    assert {photograph.mosaic for photograph in read(session, tmp_path)} == {BayerPattern.GRBG}
+    with pytest.raises(SessionError, match="--mosaic"):
+        read(session, tmp_path, mosaic=BayerPattern.RGGB)
 
 
 class FadingCamera(TinyCamera):
