@@ -27,6 +27,7 @@ PARAMETERS = 3
 CHANNELS = 3
 _SMALLEST_BASE = 1e-30
 _LARGEST_EXPONENT = 250.0
+_NO_LIMIT = 1e100  # instead of an infinite one, which has no quotients
 _SUMS = {"reassoc", "contract", "nsz", "arcp"}
 Floats = NDArray[np.float64]
 
@@ -238,22 +239,10 @@ def huber_weights(
 
     ``rows[0..2]`` is cos θ √w / σ and ``rows[3..5]`` is y √w / σ per channel.
     """
+    bound = min(limit, _NO_LIMIT)
     cost = 0.0
-    largest = 0.0
-    for c in range(CHANNELS):
-        rho_d = rho[0, c]
-        rho_s = rho[1, c]
-        for i in range(n):
-            g = rows[c, i]
-            y = rows[CHANNELS + c, i]
-            residual = y - g * (rho_d + rho_s * lobe[i])
-            cost += residual * residual
-            largest = max(largest, abs(residual))
-            weight[c, i] = g * g
-            target[c, i] = g * y
-    if largest <= limit:
-        return cost, True
-    cost = 0.0
+    far = 0.0
+    # Without branches, and with what is far counted in floating point: the loop becomes vectors.
     for c in range(CHANNELS):
         rho_d = rho[0, c]
         rho_s = rho[1, c]
@@ -261,9 +250,12 @@ def huber_weights(
             g = rows[c, i]
             y = rows[CHANNELS + c, i]
             residual = abs(y - g * (rho_d + rho_s * lobe[i]))
-            near = residual <= limit
-            u = 1.0 if near else limit / residual
-            cost += residual * residual if near else limit * (2.0 * residual - limit)
-            weight[c, i] *= u
-            target[c, i] *= u
-    return cost, False
+            near = residual if residual < bound else bound
+            largest = residual if residual > bound else bound
+            far += 1.0 if residual > bound else 0.0
+            # r² within the limit, and limit (2 r − limit) beyond.
+            cost += near * (2.0 * residual - near)
+            u = g * (bound / largest)
+            weight[c, i] = u * g
+            target[c, i] = u * y
+    return cost, far == 0.0

@@ -17,6 +17,7 @@ UNKNOWNS = 4
 _STEP = 1e-3
 _ROUNDS = 12
 _STEEPEST = 1.0  # a tilt of 45°
+_HARDLY = 1e-10
 
 
 @njit(inline="always")
@@ -95,6 +96,9 @@ def fit_tilts(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Tilts (n, 2) of the texels' normals and their standard errors (n, 2).
 
+    Where a lobe is beyond all numbers at its samples, lamps being far from where they are said to
+    be, the tilt is zero and its error that of the prior.
+
     Parameters
     ----------
     view, light, radiance, variance, weight : arrays
@@ -128,10 +132,11 @@ def fit_tilts(
         data = (view[t], light[t], radiance[t], noise, weight[t], lobe[t], diffuse[t], specular[t])
         cost, gradient = _sums(*data, x, prior, limit, square)
         damping = 1e-3
-        for _ in range(_ROUNDS):
+        sound = math.isfinite(cost + np.sum(square) + np.sum(gradient))
+        for _ in range(_ROUNDS if sound else 0):
             damped = square.copy()
             for k in range(UNKNOWNS):
-                damped[k, k] *= 1.0 + damping
+                damped[k, k] *= 1.0 + damping + _HARDLY
             step = np.linalg.solve(damped, gradient)
             trial = x - step
             steep = max(abs(trial[0]), abs(trial[1])) > _STEEPEST
@@ -139,6 +144,8 @@ def fit_tilts(
             new_gradient = gradient
             if not steep:
                 new_cost, new_gradient = _sums(*data, trial, prior, limit, other)
+                if not math.isfinite(np.sum(other) + np.sum(new_gradient)):
+                    new_cost = math.inf
             if new_cost <= cost:
                 done = cost - new_cost < 1e-4 * (1.0 + cost)
                 x = trial
@@ -150,6 +157,12 @@ def fit_tilts(
                     break
             else:
                 damping *= 10.0
+        error[t] = spread[t]
+        if not sound:
+            continue
+        for k in range(UNKNOWNS):
+            # Two unknowns that the samples cannot tell apart must not make it singular.
+            square[k, k] *= 1.0 + _HARDLY
         covariance = np.linalg.inv(square)
         for k in range(2):
             tilt[t, k] = x[k]

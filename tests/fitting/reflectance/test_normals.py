@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -92,3 +94,19 @@ def test_turning_samples_there_and_back_changes_nothing():
     again = turned_samples(turned_samples(samples, off, true), true, off)
     assert again.light == pytest.approx(samples.light, abs=1e-6)
     assert np.linalg.norm(again.view, axis=2) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_lobes_beyond_all_numbers_leave_their_normals_and_their_neighbours_alone():
+    samples, _, off = tilted(0.05, texels=8)
+    fits = fit_texels(samples)
+    usual = refine_normals(samples, fits, PALETTE, off, spread=0.1)
+    shape, specular = fits.lobes.shape.copy(), fits.lobes.specular.copy()
+    shape[3] = np.log([3000.0, 0.4, 2.5])  # under lamps that are nowhere near
+    specular[3] = 1e300
+    lobes = dataclasses.replace(fits.lobes, shape=shape, specular=specular)
+    wild = dataclasses.replace(fits, lobes=lobes)
+    result = refine_normals(samples, wild, PALETTE, off, spread=0.1)
+    np.testing.assert_array_equal(result.tilt[3], 0.0)
+    np.testing.assert_allclose(result.tilt_sigma[3], 0.1)
+    others = [0, 1, 2, 4, 5, 6, 7]
+    np.testing.assert_array_equal(result.normals[others], usual.normals[others])
