@@ -28,6 +28,7 @@ from fitting.reflectance.microfacet import microfacets_of
 from fitting.relief_picture import draw_relief
 from workstation.json_output import write_json
 from workstation.processing import Processed
+from workstation.stage_cache import digest_of_files
 
 HELD_OUT_FOLDER = "held-out"
 HELD_OUT_FILE = "held-out.json"
@@ -119,10 +120,10 @@ def write_pictured(
 
 
 def write_run(done: Processed, out: Path, more: dict[str, Any]) -> None:
-    """Write the record of a run: what each stage took, or would have taken."""
+    """Write the record of a run: of which copy it is, and what each stage took or would have."""
     reflectance = done.figures.get("reflectance") or {}
     record = {"stages": [asdict(run) for run in done.stages.runs], "rays": reflectance.get("rays")}
-    write_json(run_file(out), more | record)
+    write_json(run_file(out), {"copy": digest_of_files(out)} | more | record)
 
 
 def read_run(out: Path) -> dict[str, Any] | None:

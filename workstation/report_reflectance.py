@@ -16,6 +16,9 @@ from workstation.copy_writing import HELD_OUT_FILE, HELD_OUT_FOLDER
 from workstation.report_maps import draw_map
 from workstation.report_page import Comparison, Picture, Section, Table
 
+# Of each photograph that was kept out.
+_PICTURES = ("measured", "rendered")
+
 
 def reflectance_section(copy: DigitalCopy) -> Section:
     """Maps of the lobes, and what is known of their errors."""
@@ -94,35 +97,47 @@ def held_out_section(copy_folder: Path) -> Section | None:
     Raises
     ------
     CopyError
-        A picture is missing, or the list of them is damaged.
+        The list of them is damaged.
     """
     listed = copy_folder / HELD_OUT_FILE
     if not listed.is_file():
         return None
+    folder = copy_folder / HELD_OUT_FOLDER
     try:
         rows = json.loads(listed.read_text())
-        pairs = [_pair(copy_folder / HELD_OUT_FOLDER, row) for row in rows]
+        pairs = [_pair(folder, row) for row in rows if _is_whole(folder, row)]
         heading = ("photograph", "PSNR", "mean ΔE2000")
         table = tuple(
             (str(row["name"]), f"{row['psnr_db']:.1f} dB", f"{row['delta_e']:.2f}") for row in rows
         )
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise CopyError(f"{listed}: damaged ({error}); process the session again") from None
+    text = "The fit has not seen these photographs."
+    if pairs:
+        text += (
+            " Move the slider, with the mouse or the arrow keys: the photograph is to its left, "
+            "what the copy shows under the same light to its right."
+        )
+    if len(pairs) < len(rows):
+        text += f" Of {len(rows) - len(pairs)} the pictures are not in the copy any more."
     return Section(
         "Photographs kept out",
-        "The fit has not seen these photographs. Move the slider, with the mouse or the arrow "
-        "keys: the photograph is to its left, what the copy shows under the same light to its "
-        "right.",
+        text,
         tables=(Table(table, heading),),
         comparisons=tuple(pairs),
     )
+
+
+def _is_whole(folder: Path, row: dict[str, Any]) -> bool:
+    """Whether both pictures are there: a copy serves without them."""
+    return all((folder / f"{row['name']}-{kind}.png").is_file() for kind in _PICTURES)
 
 
 def _pair(folder: Path, row: dict[str, Any]) -> Comparison:
     name = str(row["name"])
     left, right = (
         Picture(f"{what} {name}", (folder / f"{name}-{kind}.png").read_bytes())
-        for what, kind in (("photograph", "measured"), ("rendering of", "rendered"))
+        for what, kind in zip(("photograph", "rendering of"), _PICTURES, strict=True)
     )
     caption = f"{name}: {row['psnr_db']:.1f} dB, mean ΔE2000 {row['delta_e']:.2f}"
     return Comparison(caption, left, right)
