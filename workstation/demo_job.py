@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from acquisition.session import Session
-from devices.interfaces import ArmPose
 from devices.simulated.rig import SimulatedRig
 from fitting.digital_copy import DigitalCopy
 from fitting.reflectance.lamp_table import LampTable
@@ -28,11 +27,12 @@ from workstation.demo_recording import (
     DemoRecorder,
     DemoSize,
 )
-from workstation.demo_truth import DeclaredLamps, measure_truth
+from workstation.demo_truth import declared_lamps, measure_truth
 from workstation.demonstration import true_geometry
 from workstation.interruption import interruption_held, stop_if_requested
 from workstation.json_output import write_json
 from workstation.processing import DECODING, FIGURES, REFLECTANCE, REGISTRATION, RELIEF, SURFACE
+from workstation.quality import Quality
 from workstation.report_page import Section, Table
 from workstation.session_report import write_session_report
 from workstation.stage_cache import StageCache, StageRun, peak_memory
@@ -154,7 +154,9 @@ def run_demo(
     stages.run(RENDERING, lambda: _render(processed.copy, folder / "renders", capture.render_px))
     lamps = LampTable.load(folder / LAMPS_FILE)
     truth = stages.run(TRUTH, lambda: measure_truth(processed, rig, lamps))
-    write_run(processed, copy, {"quality": "normal"})
+    write_run(
+        processed, copy, {"quality": str(Quality.NORMAL), "expected_seconds": EXPECTED_S[size]}
+    )
 
     def write_report() -> None:
         run = (read_run(copy) or {}) | {"stages": [vars(one) for one in stages.runs]}
@@ -167,6 +169,7 @@ def run_demo(
             run=run,
             view_px=capture.render_px,
             more=(truth.section(processed.copy), _calibration_section(calibration)),
+            height_mm=truth.heights.observed_rms_mm,
         )
 
     stages.run(REPORT, write_report)
@@ -196,8 +199,7 @@ def _record_and_calibrate(
         true_geometry(rig).save(folder / RIG_FOLDER)
         stages.run(SCAN, lambda: recorder.record_scan(folder / RIG_FOLDER))
         stages.run(PHOTOGRAPHS, recorder.record_photographs)
-        poses = _poses(sessions / PHOTOGRAPHS_SESSION)
-        LampTable.of(DeclaredLamps(rig), poses).save(folder / LAMPS_FILE)
+        declared_lamps(rig, sessions / PHOTOGRAPHS_SESSION).save(folder / LAMPS_FILE)
         return {"declared": True}
     stages.run(BOARD, recorder.record_board)
     board = stages.run(CALIBRATION, lambda: calibrate_from_board(sessions, folder))
@@ -214,11 +216,6 @@ def _record_and_calibrate(
         "height_sigma_mm": None if board.heights is None else board.heights.rms_mm,
         "lights": lights.figures(),
     }
-
-
-def _poses(photographs: Path) -> list[ArmPose]:
-    frames = Session.open(photographs).frames
-    return list(dict.fromkeys(f.arm_pose for f in frames if f.arm_pose is not None))
 
 
 def _calibration_section(calibration: dict[str, Any]) -> Section:

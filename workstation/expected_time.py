@@ -11,7 +11,7 @@ import numpy as np
 from acquisition.plan import Purpose
 from acquisition.session import Session
 from workstation.processing import DECODING, FIGURES, REFLECTANCE, REGISTRATION, RELIEF, SURFACE
-from workstation.quality import EXPECTED, Quality
+from workstation.quality import Quality, expectation
 from workstation.stage_cache import StageCache
 
 # Seconds: at least, and per million pixels or samples.
@@ -58,7 +58,7 @@ def expected_seconds(
         size = _megapixels(photographs)
         code = frames.count(Purpose.CODE)
         found[REGISTRATION] = _START_S + places * _REGISTRATION_S + _DECODING_S * size * code
-        found[REFLECTANCE] = _READING_S * size * len(frames) + EXPECTED[quality].fit_time * (
+        found[REFLECTANCE] = _READING_S * size * len(frames) + expectation(quality).fit_time * (
             _SURVEY_S + _FITTING_S * _ON_CANVAS * megapixels * pictures
         )
     known = {name: stages.seconds_before(name) for name in found}

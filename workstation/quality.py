@@ -1,20 +1,21 @@
 """Run time against error: the settings of ``--quality``, and what is expected of each.
 
 Every setting is a point of :mod:`workstation.benchmarks.pipeline`, which draws them among others.
-The expectations below were measured on the simulated oil sketch of the demo, 42 photographs of 480
-by 360 pixels (heights: of 128 by 96), relative to ``normal``.
+What is expected is what :mod:`workstation.quality_curve` has as measured, relative to ``normal``.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import StrEnum
+from typing import Any
 
 from fitting.reflectance.clusters import ClusterOptions
 from fitting.reflectance.maps import MapOptions
 from fitting.reflectance.solver import SolverOptions
 from fitting.surface import SurfaceOptions
-from workstation.processing import ProcessingOptions
+from workstation.processing import ProcessingOptions, plain_options
+from workstation.quality_curve import shipped_curve
 from workstation.reflectance_processing import ReflectanceOptions
 
 
@@ -45,11 +46,15 @@ class Expectation:
     heldout_db: float
 
 
-EXPECTED = {
-    Quality.DRAFT: Expectation(0.15, 1.5, -3.3),
-    Quality.NORMAL: Expectation(1.0, 1.0, 0.0),
-    Quality.BEST: Expectation(1.35, 0.88, 0.4),
-}
+def expectation(quality: Quality) -> Expectation:
+    """What a quality costs and gives, as the curve that comes with the program has it."""
+    curve = shipped_curve()
+    point, usual = curve.quality(quality), curve.quality(Quality.NORMAL)
+    return Expectation(
+        point.fit_seconds / usual.fit_seconds,
+        point.height_mm / usual.height_mm,
+        point.heldout_db - usual.heldout_db,
+    )
 
 
 def quality_options(quality: Quality) -> ProcessingOptions:
@@ -71,12 +76,36 @@ def quality_options(quality: Quality) -> ProcessingOptions:
     return ProcessingOptions()
 
 
+def stated_options(quality: Quality) -> dict[str, Any]:
+    """Options of a quality by their dotted names, as plain values.
+
+    Of another quality than normal, those that differ from normal's.
+    """
+    found = _flat(plain_options(asdict(quality_options(quality))))
+    if quality is Quality.NORMAL:
+        return found
+    usual = stated_options(Quality.NORMAL)
+    return {
+        name: value for name, value in found.items() if name not in usual or usual[name] != value
+    }
+
+
 def describe(quality: Quality) -> str:
     """A sentence on the error that a quality leaves, to be said before it is known."""
-    expected = EXPECTED[quality]
+    expected = expectation(quality)
     if quality is Quality.NORMAL:
         return "errors as each stage predicts them"
     return (
         f"height errors {expected.height_error:.2g} times those of normal, photographs kept out "
         f"of the fit {expected.heldout_db:+.1f} dB, as measured on simulated paintings"
     )
+
+
+def _flat(options: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in options.items():
+        if isinstance(value, dict):
+            found |= _flat(value, f"{prefix}{name}.")
+        else:
+            found[f"{prefix}{name}"] = value
+    return found

@@ -88,7 +88,7 @@ def add_reflectance(
     used = [p for n, p in enumerate(photographs) if not (every and n % every == every // 2)]
     begin("fitting the reflectance")
     with interruption_held():
-        terrain = Terrain.of(copy.height_field, surroundings=_surroundings(copy, surface))
+        terrain = Terrain.of(copy.height_field, surroundings=surroundings_of(copy, surface))
     sampler = PhotographSampler(copy, used, terrain, options.sampling)
     fitted = fit_maps(sampler, options=options.maps, guarded=interruption_held)
     copy = fitted.added_to(copy)
@@ -98,7 +98,11 @@ def add_reflectance(
     return AddedReflectance(copy, comparisons, _figures(sampler, fitted, comparisons))
 
 
-def _surroundings(copy: DigitalCopy, surface: Surface | None) -> np.ndarray | None:
+def surroundings_of(copy: DigitalCopy, surface: Surface | None) -> np.ndarray | None:
+    """Points (n, 3) in the canvas frame, mm, that a scan saw beyond the canvas: they cast shadows.
+
+    None where there was no scan.
+    """
     if surface is None:
         return None
     image = surface.range_image

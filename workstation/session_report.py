@@ -22,9 +22,12 @@ from fitting.relief_picture import draw_relief
 from render.painter import Painter
 from render.painting_node import Mode
 from render.views import NamedView, named_view
+from workstation.quality_curve import QualityCurve, shipped_curve
 from workstation.report_maps import draw_map, shaded_relief
 from workstation.report_page import Picture, Section, Table, write_page
+from workstation.report_quality import quality_section
 from workstation.report_reflectance import held_out_section, reflectance_section
+from workstation.report_sources import calibration_behind
 from workstation.report_stages import stages_section
 
 # Parts that progress is told of: contact sheet, maps and views.
@@ -39,8 +42,11 @@ def write_session_report(
     *,
     session: Session | None = None,
     photographs: Session | None = None,
+    calibration: Path | None = None,
     run: dict[str, Any] | None = None,
     more: Sequence[Section] = (),
+    curve: QualityCurve | None = None,
+    height_mm: float | None = None,
     view_px: tuple[int, int] = _VIEW_PX,
     begin: Callable[[str], None] = lambda part: None,
 ) -> dict[str, Any]:
@@ -55,10 +61,16 @@ def write_session_report(
         What the copy was made from, for what was captured and how it was calibrated.
     photographs : Session, optional
         Those that its reflectance was made from.
+    calibration : Path, optional
+        That which the copy was made with, if it is not the session's own.
     run : dict, optional
         Record of the run that made the copy, for what each stage took.
     more : sequence of Section
         Further parts, after the errors.
+    curve : QualityCurve, optional
+        Run time against error of other settings; by default that which comes with the program.
+    height_mm : float, optional
+        RMS error of the heights, where the truth is known.
     view_px : (int, int)
         Width and height of a view.
     begin : callable
@@ -78,7 +90,12 @@ def write_session_report(
     sections = []
     if session is not None:
         begin("contact sheet")
-        sections += [_captured(session), _calibration(session)]
+        sections += [
+            _captured(session),
+            _calibration(calibration_behind(copy.provenance, session, calibration)),
+        ]
+    elif calibration is not None:
+        sections.append(_calibration(calibration))
     if photographs is not None:
         sections.append(_captured(photographs, title="Photographs"))
     begin("maps")
@@ -92,6 +109,14 @@ def write_session_report(
     if run:
         sessions = tuple(one for one in (session, photographs) if one is not None)
         sections.append(stages_section(run, sessions))
+        sections.append(
+            quality_section(
+                run,
+                copy.provenance.get("errors", {}),
+                shipped_curve() if curve is None else curve,
+                height_mm=height_mm,
+            )
+        )
     sections.append(_parameters(copy))
     width, height = copy.height_field.size_mm
     write_page(
@@ -107,7 +132,6 @@ def write_session_report(
         warnings=tuple(map(str, copy.provenance.get("warnings", ()))),
     )
     return {
-        "page": str(path),
         "size_mm": list(copy.height_field.size_mm),
         "texels": int(copy.height_field.mask.sum()),
         "sections": [section.title for section in sections],
@@ -140,12 +164,12 @@ def _captured(session: Session, *, title: str = "What was captured") -> Section:
     )
 
 
-def _calibration(session: Session) -> Section:
-    folder = session.calibration_folder
+def _calibration(folder: Path | None) -> Section:
     if folder is None:
         return Section(
             "Calibration",
-            "The session carries no calibration; the copy was made with one that was named.",
+            "The copy was made with a calibration that is not the session's own and not at hand; "
+            "impasto report takes it by --calibration.",
         )
     rig = RigGeometry.load(folder)
     rows = [

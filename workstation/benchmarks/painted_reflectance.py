@@ -25,6 +25,7 @@ from workstation.benchmarks.painted_photographs import (
     lamp_poses,
     low_lamp_poses,
 )
+from workstation.pareto_front import pareto_front
 
 LIGHTS = 24
 DEFAULT_SETTING = "default"
@@ -258,11 +259,7 @@ def draw_settings(found: list[tuple[str, float, float]], path: Path) -> None:
         mark, colour = ("*", "tab:red") if name == DEFAULT_SETTING else (".", "0.3")
         axes.plot(cost, psnr, mark, color=colour, markersize=12)
         axes.annotate(name, (cost, psnr), xytext=(5, 4), textcoords="offset points", fontsize=8)
-    best = [
-        one
-        for one in sorted(found, key=lambda point: point[1])
-        if not any(o[1] <= one[1] and o[2] >= one[2] and o is not one for o in found)
-    ]
+    best = pareto_front(found, lambda one: (one[1], -one[2]))
     axes.plot([one[1] for one in best], [one[2] for one in best], color="tab:red", lw=1, zorder=0)
     axes.set_xlabel("processor time per texel (ms of one core)")
     axes.set_ylabel("PSNR of photographs kept out (dB)")

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
+import os
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,42 +11,57 @@ from tempfile import TemporaryDirectory
 import cv2
 import numpy as np
 
-from acquisition.photograph_plan import PhotographChoices, plan_photographs
-from acquisition.plan import Plan
+from acquisition.photograph_plan import plan_photographs
+from acquisition.plan import Metering, Plan
 from acquisition.recording import record_plan
 from acquisition.scan import plan_scan
 from acquisition.session import Session
 from acquisition.session_writer import SessionWriter
 from calibration.lens import compose, transform
 from calibration.registration import register_photographs
-from devices.bayer import BayerPattern
 from devices.rig import Rig
 from devices.simulated.rig import SimulatedRig, demo_rig
+from devices.simulated.scene_objects import PlacedSurface
 from devices.simulated.sensor import Sensor
 from devices.simulated.settings import PaintingKind, SimulationSettings
+from devices.simulated.surface import Surface
 from devices.simulated.truth import truth_of
 from fitting.digital_copy import DigitalCopy
 from fitting.reflectance.held_out import compare_held_out, pooled_psnr_db
 from fitting.reflectance.lamp_table import LampTable
 from fitting.reflectance.recorded_photographs import PhotographOptions, read_photographs
 from fitting.reflectance.terrain import Terrain
-from workstation.demo_truth import DeclaredLamps
-from workstation.demonstration import rt_true_camera, true_geometry
+from workstation.benchmarks.copies_of_known_shape import dime_heights
+from workstation.demo_recording import MOSAIC, photograph_choices
+from workstation.demo_truth import declared_lamps
+from workstation.demonstration import EXPOSURE_S, rt_true_camera, true_geometry
 from workstation.processing import (
+    REFLECTANCE,
     Processed,
     ProcessingOptions,
     add_photographs,
     process_session,
 )
+from workstation.quality_curve import CurvePoint
+from workstation.reflectance_processing import surroundings_of
+from workstation.stage_cache import StageCache, StageRun
 
-_MOSAIC = BayerPattern.RGGB
+DIME = "dime"
+PAINTINGS = (*map(str, (PaintingKind.SMALL_OIL, PaintingKind.OIL, PaintingKind.TORTURE)), DIME)
+_DESCRIPTIONS = {
+    PAINTINGS[0]: "the simulated oil sketch",
+    PAINTINGS[1]: "the simulated oil painting",
+    PAINTINGS[2]: "the simulated torture piece",
+    DIME: "a coin's measured relief, enlarged",
+}
 _PLACES = ("front", "left")
-_LOWEST = math.radians(20)
-_BRACKET_S = (0.004, 0.016, 0.064)
 # Lamps of the photographs that no setting sees.
 _JUDGES = 7
 _GRID = 500
 _RIM = 0.03
+# The coin of 19 mm is given the size of a painting.
+_DIME_ENLARGED = 16.0
+_DIME_ALBEDO, _DIME_ROUGHNESS = 0.5, 0.4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,46 +74,19 @@ class Capture:
         Of the scan's fringes.
     exposures_s : tuple of float
         Of the scan.
+    metering : Metering or None
+        By which frames of the scan that no pixel needs are left out; None leaves none out.
     lamp_poses : int
         From each place of the camera.
     adaptive : bool
-        Whether exposures that no pixel needs are left out.
+        Whether exposures of photographs that no pixel needs are left out.
     """
 
     steps: int = 8
-    exposures_s: tuple[float, ...] = (0.045,)
+    exposures_s: tuple[float, ...] = (EXPOSURE_S,)
+    metering: Metering | None = None
     lamp_poses: int = 10
     adaptive: bool = True
-
-
-@dataclass(frozen=True)
-class Point:
-    """Run time and error of a setting.
-
-    Attributes
-    ----------
-    curve, name : str
-        What is varied, and its value.
-    seconds : float
-        Of the processor.
-    height_mm : float
-        RMS error of heights on a grid that is the same for all.
-    heldout_db : float
-        PSNR of photographs that the setting does not see.
-    texels : int
-    frames : int
-        Recorded for it.
-    default : bool
-    """
-
-    curve: str
-    name: str
-    seconds: float
-    height_mm: float
-    heldout_db: float
-    texels: int
-    frames: int
-    default: bool
 
 
 @dataclass
@@ -108,26 +95,56 @@ class RecordedScene:
 
     Attributes
     ----------
+    name : str
+        Of :data:`PAINTINGS`.
     rig : SimulatedRig
     folder : Path
     """
 
+    name: str
     rig: SimulatedRig
     folder: Path
     _judges: Path | None = field(default=None)
 
     @classmethod
     def of(cls, painting: str, folder: Path, *, width: int) -> RecordedScene:
-        """One of the three paintings."""
+        """One of the paintings; the coin takes the folder of real captures."""
         folder.mkdir()
-        kind = PaintingKind(painting)
-        if kind is PaintingKind.SMALL_OIL:
-            rig = demo_rig(camera_width=width, sensor=Sensor(bits=12, bayer=_MOSAIC))
+        if painting == PaintingKind.SMALL_OIL:
+            rig = demo_rig(camera_width=width, sensor=Sensor(bits=12, bayer=MOSAIC))
         else:
-            settings = SimulationSettings(painting=kind, camera_width=width, bits=12, bayer=_MOSAIC)
+            kind = PaintingKind.WHITE if painting == DIME else PaintingKind(painting)
+            settings = SimulationSettings(painting=kind, camera_width=width, bits=12, bayer=MOSAIC)
             rig = settings.build()
+        if painting == DIME:
+            rig.scene.replace_subject(PlacedSurface(_dime()))
         true_geometry(rig).save(folder / "rig")
-        return cls(rig, folder)
+        return cls(painting, rig, folder)
+
+    @staticmethod
+    def has_dime() -> bool:
+        """Whether the coin's heights are there."""
+        return bool(os.environ.get("IMPASTO_REAL_DATA"))
+
+    @property
+    def description(self) -> str:
+        """What is digitised, with how many pixels."""
+        lens = self.rig.camera_lens
+        return f"{_DESCRIPTIONS[self.name]}, {lens.width} × {lens.height} pixels"
+
+    def process(
+        self,
+        capture: Capture,
+        options: ProcessingOptions,
+        *,
+        stages: StageCache | None = None,
+    ) -> Processed:
+        """Process what a capture records."""
+        scan, photographs = self._scan(capture), self._photographs(capture)
+        lamps = self._lamps(photographs)
+        chosen = replace(options, photographs=PhotographOptions(mosaic=MOSAIC))
+        done = process_session(scan, options=chosen, stages=stages)
+        return add_photographs(done, photographs, lamps)
 
     def measure(
         self,
@@ -137,31 +154,64 @@ class RecordedScene:
         curve: str,
         name: str,
         default: bool,
-    ) -> Point:
+    ) -> CurvePoint:
         """Process what a capture records, and judge the copy."""
-        scan, photographs = self._scan(capture), self._photographs(capture)
-        lamps = self._lamps(photographs)
-        chosen = _in_colour(options)
-        began = time.process_time()
-        done = add_photographs(process_session(scan, options=chosen), photographs, lamps)
+        sessions = self._scan(capture), self._photographs(capture)
+        began: dict[str, float] = {}
+        took: dict[str, float] = {}
+
+        def begin(stage: str) -> None:
+            began.setdefault(stage, time.process_time())
+
+        def ended(run: StageRun) -> None:
+            took[run.name] = time.process_time() - began[run.name]
+
+        started = time.process_time()
+        done = self.process(capture, options, stages=StageCache(None, begin, done=ended))
         copy = done.copy
-        seconds = time.process_time() - began
-        return Point(
+        return CurvePoint(
             curve,
             name,
-            seconds,
-            self._height_error(copy),
-            self._judged(done),
-            int(copy.height_field.mask.sum()),
-            sum(len(Session.open(path).frames) for path in (scan, photographs)),
-            default,
+            seconds=time.process_time() - started,
+            fit_seconds=took[REFLECTANCE],
+            height_mm=self._height_error(copy),
+            heldout_db=self.judged(done, copy),
+            texels=int(copy.height_field.mask.sum()),
+            frames=sum(len(Session.open(path).frames) for path in sessions),
+            default=default,
         )
 
+    def judged(self, done: Processed, copy: DigitalCopy) -> float:
+        """PSNR of photographs that are nobody's, registered to the scan as any others."""
+        if self._judges is None:
+            self._judges = self.folder / "judges"
+            self._photograph(self._judges, _JUDGES, adaptive=True)
+        session = Session.open(self._judges)
+        views = register_photographs(session, done.correspondence, done.rig)
+        with TemporaryDirectory() as scratch:
+            photographs = read_photographs(
+                session,
+                views,
+                LampTable.load(self._lamps(self._judges)),
+                copy.height_field.rt_cam_canvas,
+                scratch=Path(scratch),
+                options=PhotographOptions(mosaic=MOSAIC),
+            )
+            around = surroundings_of(copy, done.surface)
+            terrain = Terrain.of(copy.height_field, surroundings=around)
+            return pooled_psnr_db(compare_held_out(copy, terrain, photographs))
+
     def _scan(self, capture: Capture) -> Path:
-        path = self.folder / f"scan-{capture.steps}-{len(capture.exposures_s)}"
+        metered = "" if capture.metering is None else "-metered"
+        path = self.folder / f"scan-{capture.steps}-{len(capture.exposures_s)}{metered}"
         if not path.exists():
             rig = self._open()
-            plan = plan_scan(rig, exposure_s=capture.exposures_s, steps=capture.steps)
+            plan = plan_scan(
+                rig,
+                exposure_s=capture.exposures_s,
+                steps=capture.steps,
+                metering=capture.metering,
+            )
             self._record(path, rig, plan)
         return path
 
@@ -174,15 +224,7 @@ class RecordedScene:
 
     def _photograph(self, path: Path, poses: int, *, adaptive: bool) -> None:
         rig = self._open()
-        choices = PhotographChoices(
-            exposures_s=_BRACKET_S,
-            code_exposures_s=(0.045,),
-            poses=poses,
-            least_elevation=_LOWEST,
-            camera_positions=_PLACES,
-            steps=4,
-            adaptive=adaptive,
-        )
+        choices = replace(photograph_choices(_PLACES, poses), adaptive=adaptive)
         self._record(path, rig, plan_photographs(rig, choices))
 
     def _open(self) -> Rig:
@@ -197,9 +239,7 @@ class RecordedScene:
     def _lamps(self, photographs: Path) -> Path:
         path = photographs.with_suffix(".json")
         if not path.exists():
-            frames = Session.open(photographs).frames
-            poses = dict.fromkeys(f.arm_pose for f in frames if f.arm_pose is not None)
-            LampTable.of(DeclaredLamps(self.rig), poses).save(path)
+            declared_lamps(self.rig, photographs).save(path)
         return path
 
     def _height_error(self, copy: DigitalCopy) -> float:
@@ -220,41 +260,16 @@ class RecordedScene:
         off = points[:, 2] - truth_of(self.rig.scene).height_at(points[:, 0], points[:, 1])
         return float(np.sqrt(np.mean(off**2)))
 
-    def _judged(self, done: Processed) -> float:
-        """PSNR of photographs that are nobody's, registered to the scan as any others."""
-        if self._judges is None:
-            self._judges = self.folder / "judges"
-            self._photograph(self._judges, _JUDGES, adaptive=True)
-        session = Session.open(self._judges)
-        views = register_photographs(session, done.correspondence, done.rig)
-        copy = done.copy
-        with TemporaryDirectory() as scratch:
-            photographs = read_photographs(
-                session,
-                views,
-                LampTable.load(self._lamps(self._judges)),
-                copy.height_field.rt_cam_canvas,
-                scratch=Path(scratch),
-                options=PhotographOptions(mosaic=_MOSAIC),
-            )
-            terrain = Terrain.of(copy.height_field)
-            return pooled_psnr_db(compare_held_out(copy, terrain, photographs))
 
-
-def pareto_front(points: Sequence[Point]) -> list[Point]:
-    """Points that no other beats in time and in both errors, the quickest first."""
-    return [
-        one
-        for one in sorted(points, key=lambda point: point.seconds)
-        if not any(
-            o.seconds <= one.seconds
-            and o.height_mm <= one.height_mm
-            and o.heldout_db >= one.heldout_db
-            and o is not one
-            for o in points
-        )
-    ]
-
-
-def _in_colour(options: ProcessingOptions) -> ProcessingOptions:
-    return replace(options, photographs=PhotographOptions(mosaic=_MOSAIC))
+def _dime() -> Surface:
+    """The coin's relief, as large as a painting, somewhat glossy."""
+    height, pitch_mm = dime_heights(Path(os.environ["IMPASTO_REAL_DATA"]))
+    rows, cols = height.shape
+    pitch_mm *= _DIME_ENLARGED
+    return Surface.uniform(
+        height * np.float32(_DIME_ENLARGED),
+        pitch_mm=pitch_mm,
+        canvas_mm=((cols - 1) * pitch_mm, (rows - 1) * pitch_mm),
+        albedo=_DIME_ALBEDO,
+        roughness=_DIME_ROUGHNESS,
+    )

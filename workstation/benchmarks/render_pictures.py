@@ -18,6 +18,7 @@ from workstation.benchmarks.render_cases import Case, Pictures, find_cases
 from workstation.benchmarks.render_path import Popping
 from workstation.benchmarks.render_scenes import OIL, SIZES
 from workstation.json_output import write_json
+from workstation.pareto_front import pareto_front
 
 _LEAST_PX = 1e-4  # what a logarithmic axis shows of no parallax
 _COLOURS = {mode: f"C{number}" for number, mode in enumerate(Mode)}
@@ -49,11 +50,7 @@ def _draw_time_and_error(path: Path, cases: list[Case]) -> None:
             for mode, case in found.items()
             if case.difference is not None
         }
-        best = [
-            (ms, error)
-            for ms, error in sorted(points.values())
-            if not any(o[0] <= ms and o[1] <= error and o != (ms, error) for o in points.values())
-        ]
+        best = pareto_front(points.values(), lambda point: point)
         axis.loglog(*zip(*best, strict=True), color="0.7", zorder=0)
         for mode, (ms, error) in points.items():
             axis.loglog(ms, error, "o", color=_COLOURS[Mode(mode)], label=mode)

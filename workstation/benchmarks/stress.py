@@ -33,6 +33,9 @@ _TRIALS = {
     "camera models": 3000,
     "OpenCV calibration": 2000,
     "copy": 4000,
+    "table of lamps": 1500,
+    "pictures under lights": 1500,
+    "stored result": 1000,
 }
 _LEAST_INPUTS = 20_000
 _INTERRUPTIONS = 50

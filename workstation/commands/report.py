@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from workstation.json_output import JsonOption, write_json
+
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
@@ -24,7 +26,19 @@ def report(
         Path | None,
         typer.Option(metavar="SESSION", help="What its reflectance was made from."),
     ] = None,
-    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write figures here.")] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="What it was made with, if not the session's own."),
+    ] = None,
+    curve: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Run time against error as impasto bench pipeline measured it here, instead of "
+            "the curve that comes with the program.",
+        ),
+    ] = None,
+    json: JsonOption = None,
 ) -> None:
     """Write a page on a digital copy: frames, calibration, heights, errors and views.
 
@@ -34,26 +48,45 @@ def report(
 
         impasto report copy/ --session session/ --photographs photographs/ --out report.html
     """
-    from acquisition.session import Session
-    from fitting.errors import CopyError
-    from workstation.copy_writing import read_run
-    from workstation.json_output import write_json
+    from acquisition.atomic_files import file_in_progress
+    from fitting.copy_files import read_copy
+    from workstation.destinations import check_destinations
+    from workstation.interruption import too_late_to_stop
     from workstation.progress import progress
+    from workstation.quality_curve import QualityCurve, shipped_curve
+    from workstation.report_sources import find_sources
     from workstation.session_report import PARTS, write_session_report
 
-    if not out.parent.is_dir():
-        raise CopyError(f"{out}: there is no folder {out.parent}; make it first")
-    scan, pictures = (
-        None if path is None else Session.open(path) for path in (session, photographs)
+    check_destinations(
+        *(copy, session, photographs, calibration, curve),
+        writes={"--out": out, "--json": json},
     )
+    sources = find_sources(
+        *(copy, read_copy(copy).provenance),
+        session=session,
+        photographs=photographs,
+        calibration=calibration,
+    )
+    for warning in sources.warnings:
+        typer.echo(f"warning: {warning}", err=True)
+    measured = shipped_curve() if curve is None else QualityCurve.load(curve)
     with progress("report", total=PARTS) as steps:
 
         def begin(part: str) -> None:
             steps.advance()
             steps.begin(part)
 
-        figures = write_session_report(
-            copy, out, session=scan, photographs=pictures, run=read_run(copy), begin=begin
-        )
+        with file_in_progress(out) as page:
+            figures = write_session_report(
+                copy,
+                page,
+                session=sources.session,
+                photographs=sources.photographs,
+                calibration=calibration,
+                run=sources.run,
+                curve=measured,
+                begin=begin,
+            )
+            too_late_to_stop()
+    write_json(json, {"page": str(out)} | figures)
     typer.echo(f"open {out}")
-    write_json(json, figures)

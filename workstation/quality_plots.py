@@ -1,0 +1,80 @@
+"""Run time against error, drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from workstation.pareto_front import pareto_front
+from workstation.quality_curve import QUALITY, CurvePoint, QualityCurve
+from workstation.report_page import Picture, figure_png
+
+_DPI = 110
+
+
+def curve_pictures(curve: QualityCurve, *, chosen: str | None = None) -> tuple[Picture, Picture]:
+    """Processor's time against errors of heights, and against those of photographs kept out.
+
+    What nothing else beats in the two figures of a picture is joined by a line; the defaults are a
+    star.
+
+    Parameters
+    ----------
+    curve : QualityCurve
+    chosen : str, optional
+        A quality, which gets a ring.
+    """
+    heights = _draw(
+        curve, chosen, lambda point: 1e3 * point.height_mm, "RMS error of heights, µm", "{:g}"
+    )
+    photographs = _draw(
+        curve, chosen, lambda point: -point.heldout_db, "PSNR of photographs kept out, dB", "{:.1f}"
+    )
+    return (
+        Picture("Processor's time and the error of heights", heights),
+        Picture("Processor's time and photographs kept out of the fit", photographs),
+    )
+
+
+def _draw(
+    curve: QualityCurve,
+    chosen: str | None,
+    error: Callable[[CurvePoint], float],
+    name: str,
+    form: str,
+) -> bytes:
+    figure = Figure(figsize=(6.6, 5.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    colours = {name: f"C{n}" for n, name in enumerate(dict.fromkeys(p.curve for p in curve.points))}
+    for point in curve.points:
+        _mark(axes, point, error(point), colours[point.curve], ringed=point.name == chosen)
+    front = pareto_front(curve.points, lambda point: (point.seconds, error(point)))
+    axes.plot([p.seconds for p in front], [error(p) for p in front], color="0.6", lw=1, zorder=0)
+    axes.set_xscale("log")
+    # Before the scale is asked for its ticks.
+    axes.margins(x=0.2, y=0.1)
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.xaxis.set_minor_formatter(lambda value, _: f"{value:g}")
+    axes.yaxis.set_major_formatter(lambda value, _: form.format(abs(value)))
+    axes.set_xlabel("processor's time, s")
+    axes.set_ylabel(name)
+    return figure_png(figure, dpi=_DPI)
+
+
+def _mark(axes: Axes, point: CurvePoint, error: float, colour: str, *, ringed: bool) -> None:
+    mark, size = ("*", 14) if point.default else ("o", 6)
+    axes.plot(point.seconds, error, mark, color=colour, markersize=size)
+    if ringed and point.curve == QUALITY:
+        axes.plot(point.seconds, error, "o", color="0.2", markersize=20, fillstyle="none")
+    axes.annotate(
+        point.label,
+        (point.seconds, error),
+        xytext=(6, 5),
+        textcoords="offset points",
+        fontsize=9,
+        weight="bold" if point.curve == QUALITY else "normal",
+    )
