@@ -4,12 +4,17 @@ A plane tells little of a calibration by itself, because a real board is none. B
 same in every view. Each view is reconstructed with a calibration that has not seen it, put into the
 board's frame by its corners, and averaged onto a grid by a Gaussian; what differs between the
 views is the calibration's error and the noise.
+
+Rays that pass beside a tilted board meet a wall where the board's columns and rows would be, so
+what belongs to it is told in the picture: pixels inside the outline of its corners' rectangle. Of
+these, points far off the surface that the others form are something before the board.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
@@ -23,6 +28,18 @@ from calibration.triangulation import reconstruct_points
 PITCH_MM = 0.25
 SIGMA_MM = 1.5
 _CORNER_WINDOW_PX = 12
+# Of a square, by which the board surely reaches beyond its outermost corners.
+_RIM_SHARE = 0.75
+_ON_EDGE = 16
+# Points farther off a quadratic through the others are not of the board.
+_OFF_SIGMAS = 8.0
+_LEAST_OFF_MM = 0.05
+_MAD = 1.4826
+# Of the points inside the outline, how many may be off the surface.
+_LARGEST_OFF_SHARE = 0.1
+_LEAST_WHITE = 100
+_FITTED_FIRST = 5000
+_ROUNDS = 20
 _WHITE_SHARE = 0.5
 _LEAST_CORNERS_SHARE = 0.5
 
@@ -44,6 +61,11 @@ class BoardRelief:
     scale_error : float
         Length of the board's diagonals over the nominal, less one; where an outer corner is not
         seen, the spread of the corners.
+    off_share : float
+        Share of the points inside the board's outline that are not on its surface and were left
+        out: something stands before it, or was decoded wrongly.
+    smoothed_noise_mm : float
+        What the variances of the decoded coordinates predict for ``height_mm``, root mean square.
     """
 
     height_mm: NDArray[np.float64]
@@ -51,11 +73,18 @@ class BoardRelief:
     predicted_noise_mm: float
     plane_rms_mm: float
     scale_error: float
+    off_share: float = 0.0
+    smoothed_noise_mm: float = 0.0
 
     @property
     def noise_over_predicted(self) -> float:
         """Observed noise over predicted."""
         return self.noise_mm / self.predicted_noise_mm
+
+    @property
+    def plane_over_noise(self) -> float:
+        """Deviation of single heights from their plane over the predicted noise."""
+        return self.plane_rms_mm / self.predicted_noise_mm
 
 
 @dataclass(frozen=True)
@@ -99,7 +128,7 @@ def reconstruct_board(
     Raises
     ------
     CalibrationError
-        Corners missing, or not reconstructed.
+        Corners missing or not reconstructed, or much of the board hidden.
     """
     points, variance = reconstruct_points(correspondence, rig, start_mm=start_mm)
     found = _corner_points(points, variance, corners, correspondence.origin, rig)
@@ -112,18 +141,31 @@ def reconstruct_board(
     turn, shift = _board_frame(found[known], board.points[known])
     on_board = points @ turn.T + shift
     spread = variance * (np.nan_to_num(points / points[..., 2:]) @ turn[2]) ** 2
+    pictured = _outline(board, turn, shift, rig, correspondence) & np.isfinite(on_board[..., 2])
+    near = pictured & _on_surface(on_board, pictured)
+    off_share = 1 - near.sum() / max(int(pictured.sum()), 1)
+    if off_share > _LARGEST_OFF_SHARE:
+        raise CalibrationError(
+            f"{off_share:.0%} of the points inside the board's outline are not on its surface: "
+            "something hides it, or its fringes were decoded wrongly"
+        )
+    on_board = np.where(near[..., np.newaxis], on_board, np.nan)
     white = correspondence.ambient > _WHITE_SHARE * np.nanpercentile(correspondence.ambient, 95)
-    inside = _inside(on_board, board, margin_mm=2.0)
-    height = np.where(white & inside, on_board[..., 2], np.nan)
-    plane = on_board[white & inside]
+    flat = white & _inside(on_board, board, margin_mm=2.0)
+    plane = on_board[flat]
+    if len(plane) < _LEAST_WHITE:
+        raise CalibrationError(f"{len(plane)} pixels of the board's white part were decoded")
     terms = np.column_stack([np.ones(len(plane)), plane[:, :2]])
     left = plane[:, 2] - terms @ np.linalg.lstsq(terms, plane[:, 2], rcond=None)[0]
+    height, smoothed_noise = _gridded(on_board, spread, board)
     return BoardRelief(
-        _gridded(on_board, spread, board),
-        _white_noise(height),
-        float(np.sqrt(np.nanmedian(spread[white & inside]))),
+        height,
+        _white_noise(np.where(flat, on_board[..., 2], np.nan)),
+        float(np.sqrt(np.nanmedian(spread[flat]))),
         float(np.std(left)),
         _scale_error(found, board.points),
+        float(off_share),
+        smoothed_noise,
     )
 
 
@@ -146,6 +188,19 @@ def compare_reliefs(reliefs: list[BoardRelief]) -> Repeatability:
         rms.append(np.sqrt(np.nanmean(difference**2)))
         detrended.append(np.sqrt(np.nanmean(_without_polynomial(difference, 2) ** 2)))
     return Repeatability(np.array(differences), np.array(rms), np.array(detrended))
+
+
+def deviation_from_polynomial(height_mm: NDArray[np.float64], degree: int) -> float:
+    """Root mean square of a map of heights, a polynomial of a degree removed, mm.
+
+    Parameters
+    ----------
+    height_mm : (rows, cols) array
+        NaN where nothing is known.
+    degree : int
+        Of both coordinates together.
+    """
+    return float(np.sqrt(np.nanmean(_without_polynomial(height_mm, degree) ** 2)))
 
 
 def _corner_points(
@@ -199,6 +254,50 @@ def _board_frame(
     return turn, b.mean(axis=0) - turn @ a.mean(axis=0)
 
 
+def _outline(
+    board: Chessboard,
+    turn: NDArray[np.float64],
+    shift: NDArray[np.float64],
+    rig: RigGeometry,
+    correspondence: CorrespondenceMap,
+) -> NDArray[np.bool_]:
+    """Pixels inside the outline of the board's rim, which lies within its outermost squares."""
+    rim = min(3 * SIGMA_MM, _RIM_SHARE * board.square_mm)
+    right, bottom = board.points[-1, -1, :2] + rim
+    along = np.linspace(0, 1, _ON_EDGE, endpoint=False)
+    ends = np.array([[-rim, -rim], [right, -rim], [right, bottom], [-rim, bottom]])
+    steps = np.roll(ends, -1, axis=0) - ends
+    edges = ends[:, np.newaxis] + along[:, np.newaxis] * steps[:, np.newaxis]
+    on_rim = np.column_stack([edges.reshape(-1, 2), np.zeros(4 * _ON_EDGE)])
+    pixels = rig.camera.project((on_rim - shift) @ turn) - np.asarray(correspondence.origin)
+    mask = np.zeros(correspondence.shape, np.uint8)
+    cv2.fillPoly(mask, [np.round(pixels).astype(np.int32)], [1.0])
+    return mask.astype(bool)
+
+
+def _on_surface(on_board: NDArray[np.float64], where: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which points lie near the quadratic through most of them, by its robust spread."""
+    x, y, z = on_board[where].T
+    near = np.zeros(where.shape, np.bool_)
+    if len(z) < _LEAST_WHITE:
+        return near
+    u, v = x / np.ptp(x), y / np.ptp(y)
+    terms = np.column_stack([np.ones_like(u), u, v, u * u, u * v, v * v])
+    # Least absolute deviations, by weights, of some of the points: what hides a part does not pull.
+    some = slice(None, None, max(1, len(z) // _FITTED_FIRST))
+    weight = np.ones(len(z[some]))
+    for _ in range(_ROUNDS):
+        root = np.sqrt(weight)[:, np.newaxis]
+        fit = np.linalg.lstsq(terms[some] * root, z[some] * root[:, 0], rcond=None)[0]
+        weight = 1 / np.maximum(np.abs(z[some] - terms[some] @ fit), 1e-4)
+    for _ in range(3):
+        off = z - terms @ fit
+        kept = np.abs(off) <= max(_OFF_SIGMAS * _MAD * float(np.median(np.abs(off))), _LEAST_OFF_MM)
+        fit = np.linalg.lstsq(terms[kept], z[kept], rcond=None)[0]
+    near[where] = kept
+    return near
+
+
 def _inside(
     on_board: NDArray[np.float64], board: Chessboard, *, margin_mm: float
 ) -> NDArray[np.bool_]:
@@ -210,8 +309,8 @@ def _inside(
 
 def _gridded(
     on_board: NDArray[np.float64], spread: NDArray[np.float64], board: Chessboard
-) -> NDArray[np.float64]:
-    """Heights averaged by inverse variance under a Gaussian, plane removed."""
+) -> tuple[NDArray[np.float64], float]:
+    """Heights averaged by inverse variance under a Gaussian, plane removed, and their noise."""
     margin = 3 * SIGMA_MM
     inside = _inside(on_board, board, margin_mm=margin - PITCH_MM) & (spread > 0)
     far = board.points[-1, -1, :2]
@@ -223,9 +322,14 @@ def _gridded(
     sums = np.bincount(place, weight * on_board[inside][:, 2], rows * cols).reshape(rows, cols)
     width = SIGMA_MM / PITCH_MM
     with np.errstate(divide="ignore", invalid="ignore"):
-        smooth = gaussian_filter(sums, width) / gaussian_filter(total, width)
+        under = gaussian_filter(total, width)
+        smooth = gaussian_filter(sums, width) / under
+        # A Gaussian squared is one narrower by √2, and 4π its variance times smaller in all.
+        variance = gaussian_filter(total, width / np.sqrt(2)) / (4 * np.pi * width**2 * under**2)
     border = round(margin / PITCH_MM)
-    return _without_polynomial(smooth[border:-border, border:-border], 1)
+    part = np.s_[border:-border, border:-border]
+    noise = float(np.sqrt(np.nanmean(np.where(np.isfinite(smooth), variance, np.nan)[part])))
+    return _without_polynomial(smooth[part], 1), noise
 
 
 def _without_polynomial(height: NDArray[np.float64], degree: int) -> NDArray[np.float64]:

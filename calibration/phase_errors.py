@@ -93,7 +93,7 @@ def compensate_phase_errors(
     CalibrationError
         Too few pixels decoded on the board.
     """
-    u, v, on_board = _board_position(correspondence, corners)
+    u, v, on_board = board_position(correspondence, corners)
     usable = correspondence.valid & on_board
     if usable.sum() < _LEAST_PIXELS:
         raise CalibrationError(
@@ -107,10 +107,27 @@ def compensate_phase_errors(
     return replace(correspondence, axes=axes), errors
 
 
-def _board_position(
+def board_position(
     correspondence: CorrespondenceMap, corners: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Position on the board of every pixel, -1 to 1 over the corners, and whether it is on it."""
+    """Position on the board of every pixel, -1 to 1 over the corners, and whether it is on it.
+
+    Parameters
+    ----------
+    correspondence : CorrespondenceMap
+    corners : (rows, columns, 2) array
+        In the camera's full frame, NaN where not seen.
+
+    Returns
+    -------
+    u, v : (rows, cols) float64 arrays
+    on_board : (rows, cols) bool array
+
+    Raises
+    ------
+    CalibrationError
+        Corners that no homography explains.
+    """
     rows, columns = corners.shape[:2]
     grid = np.stack(np.meshgrid(np.linspace(-1, 1, columns), np.linspace(-1, 1, rows)), axis=-1)
     seen = np.isfinite(corners).all(axis=-1)

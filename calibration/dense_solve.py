@@ -1,0 +1,485 @@
+r"""Camera and projector solved from every decoded pixel of a board, and not from its corners alone.
+
+Corners tell the board's scale, but they are few, each is read off where the code is worst, and a
+lens that three or four poses of them determine takes up their errors as focal length, centre and
+distortion. Between them lie thousands of pixels whose projector coordinates are read well. A pixel
+says nothing of where on the board it lies; but all poses see one surface, so each of them has to
+meet its two coordinates at the depth of that surface: one equation that holds for any surface (the
+ray of the camera meets that of the projector) and one that holds for the same surface in all poses.
+
+Unknown are both lenses, the pose between them, the poses of the board, its relief (a spline,
+:mod:`calibration.board_surface`), the place of every corner in the board's plane, and how far the
+projector moved from view to view: the first equation tells a ten-thousandth of a radian of it,
+which a solve from corners takes for lenses. The residuals are those of
+
+* the mean coordinates of blocks of white pixels, columns and rows, projected from where the
+  camera's ray meets the surface, and
+* the corners as the camera sees them, which hold scale, rotation and shift in the board's plane.
+
+Blocks are weighted by what they really leave: their own noise, what is left beyond it, and how far
+neighbours err alike. This is bundle adjustment with a shape common to the views (Albarelli, Rodolà
+& Torsello 2010, "Robust camera calibration using inaccurate targets"), on a dense code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from calibration.board_shape import shears, similarities
+from calibration.board_surface import SplineGrid
+from calibration.boards import Chessboard
+from calibration.errors import CalibrationError
+from calibration.lens import Lens, compose, rotation, transform
+from calibration.rig_geometry import RigGeometry
+from calibration.surface_samples import SurfaceSamples
+
+# Tukey's limit in each round: before a blister is fitted it looks like gross error.
+_REACHES = (60.0, 60.0, 20.0, 10.0, 5.0)
+_STEPS = 8
+_SETTLED = 1e-3
+_MEETINGS = 5
+_FIRST_DISPLACEMENT_MM = 0.02
+_FIRST_ROUGHNESS_MM = 0.05
+# A turn of the projector from view to view in radians, and a shift in mm.
+_FIRST_DRIFT = (1e-4, 0.03)
+_HELD = 1e5
+
+
+@dataclass(frozen=True)
+class DenseSolution:
+    """What the surface of the board determines.
+
+    Attributes
+    ----------
+    rig : RigGeometry
+        With its covariance.
+    rt_cam_board : (views, 6) float64 array
+    drift : (views, 6) float64 array
+        What the projector moved by from the usual pose while a view was recorded (Rodrigues, mm).
+    grid : SplineGrid
+    relief : (grid.size,) float64 array
+        Coefficients of the board's height, mm.
+    displacement_mm : (rows, columns, 2) float64 array
+        Of the corners in the board's plane, off the grid.
+    sample_rms_px : (views, 2) float64 array
+        Robust standard deviation of the blocks' residuals, projector columns and rows.
+    corner_rms_px : (views,) float64 array
+        The same of the corners in the camera, per coordinate.
+    """
+
+    rig: RigGeometry
+    rt_cam_board: NDArray[np.float64]
+    drift: NDArray[np.float64]
+    grid: SplineGrid
+    relief: NDArray[np.float64]
+    displacement_mm: NDArray[np.float64]
+    sample_rms_px: NDArray[np.float64]
+    corner_rms_px: NDArray[np.float64]
+
+
+def solve_densely(
+    rig: RigGeometry,
+    rt_cam_board: NDArray[np.float64],
+    board: Chessboard,
+    corners: Sequence[NDArray[np.float64]],
+    samples: Sequence[SurfaceSamples],
+    *,
+    knots_per_square: float = 2.0,
+) -> DenseSolution:
+    """Solve lenses and poses from the surface of a board that all views share.
+
+    Parameters
+    ----------
+    rig : RigGeometry
+        Of a solve from corners: where this one starts.
+    rt_cam_board : (views, 6) array
+        Poses of the board, by the same solve.
+    board : Chessboard
+    corners : sequence of (rows, columns, 2) arrays
+        As the camera sees them, full frame, counted from the same end in every view; NaN where one
+        is not seen.
+    samples : sequence of SurfaceSamples
+    knots_per_square : float
+        How finely the relief is resolved.
+
+    Raises
+    ------
+    CalibrationError
+        Fewer than three views, or views that do not determine the rig.
+    """
+    if not 3 <= len(rt_cam_board) == len(corners) == len(samples):
+        raise CalibrationError(
+            f"{len(rt_cam_board)} poses, {len(corners)} views of corners and {len(samples)} of the "
+            "surface: three of each are needed at least"
+        )
+    grid = SplineGrid.over(board, knots_per_square=knots_per_square)
+    state = _State(
+        rig,
+        np.array(rt_cam_board, np.float64),
+        np.zeros((len(rt_cam_board), 6)),
+        np.zeros(grid.size),
+        np.zeros((board.rows, board.columns, 2)),
+    )
+    problem = _Problem(board, grid, tuple(corners), tuple(samples))
+    for reach in _REACHES:
+        weights = _weights(problem, state, reach)
+        for _ in range(_STEPS):
+            normal, right = _normal_equations(problem, state, weights)
+            try:
+                factor = cho_factor(normal)
+            except np.linalg.LinAlgError as error:
+                raise CalibrationError(
+                    "the views do not determine the rig; record the board at more tilts"
+                ) from error
+            step = cho_solve(factor, right)
+            state = state.moved(step)
+            if not np.isfinite(state.rig.parameters).all():
+                raise CalibrationError(
+                    "the surface of the board does not lead to a rig; record more poses of it"
+                )
+            if float(step @ right) < _SETTLED * len(step):
+                break
+        covariance = cho_solve(factor, np.eye(len(normal)))
+        problem = problem.with_priors_of(state, covariance)
+    return _solved(problem, state, covariance)
+
+
+@dataclass(frozen=True)
+class _State:
+    rig: RigGeometry
+    poses: NDArray[np.float64]
+    drift: NDArray[np.float64]
+    relief: NDArray[np.float64]
+    displacement: NDArray[np.float64]
+
+    @property
+    def lens_parameters(self) -> int:
+        return len(self.rig.parameters) - 6
+
+    def moved(self, step: NDArray[np.float64]) -> _State:
+        """The state after a step; poses turn and shift in the frame that they lead to."""
+        lenses, rest = np.split(step, [self.lens_parameters])
+        pose, rest = np.split(rest, [6])
+        poses, rest = np.split(rest, [self.poses.size + self.drift.size])
+        poses, drift = np.split(poses.reshape(-1, 12), 2, axis=1)
+        relief, displacement = np.split(rest, [len(self.relief)])
+        rig = self.rig.moved(np.concatenate([lenses, np.zeros(6)]))
+        return _State(
+            replace(rig, rt_proj_cam=compose(pose, rig.rt_proj_cam)),
+            np.array([compose(s, p) for s, p in zip(poses, self.poses, strict=True)]),
+            np.array([compose(s, d) for s, d in zip(drift, self.drift, strict=True)]),
+            self.relief + relief,
+            self.displacement + displacement.reshape(self.displacement.shape),
+        )
+
+
+@dataclass(frozen=True)
+class _Problem:
+    board: Chessboard
+    grid: SplineGrid
+    corners: tuple[NDArray[np.float64], ...]
+    samples: tuple[SurfaceSamples, ...]
+    roughness_mm: float = _FIRST_ROUGHNESS_MM
+    displacement_mm: float = _FIRST_DISPLACEMENT_MM
+    drift: NDArray[np.float64] = field(default_factory=lambda: np.repeat(_FIRST_DRIFT, 3))
+
+    def with_priors_of(self, state: _State, covariance: NDArray[np.float64]) -> _Problem:
+        """With the variances that the unknowns show, and what their priors hide."""
+        relief, place = _blocks_of(state)[2:]
+        rough = self.grid.roughness()
+        hidden = rough.multiply(rough @ covariance[relief, relief]).sum() / rough.shape[0]
+        own = float(np.mean((rough @ state.relief) ** 2) + hidden)
+        sheared = shears(self.board.points.reshape(-1, 3)[:, :2]).reshape(-1, 2)
+        flat = state.displacement.ravel()
+        flat = flat - sheared @ (sheared.T @ flat)
+        shown = np.mean(flat**2) + np.mean(np.diag(covariance)[place])
+        return replace(
+            self, roughness_mm=max(np.sqrt(own), 1e-5), displacement_mm=float(np.sqrt(shown))
+        )
+
+
+@dataclass(frozen=True)
+class _Weights:
+    """Standard deviations that the residuals show."""
+
+    floor_px: NDArray[np.float64]  # (2,), beyond the noise of the pixels
+    alike: NDArray[np.float64]  # (2,), by how much neighbours err alike, as a variance
+    corner_px: float
+    reach: float  # of Tukey's function, in standard deviations
+
+
+def _blocks_of(state: _State) -> tuple[slice, slice, slice, slice]:
+    """Where rig, poses with drifts, relief and displacements stand in a step.
+
+    Of each view the board's pose stands first, then the projector's drift.
+    """
+    ends = np.cumsum(
+        [
+            state.lens_parameters + 6,
+            state.poses.size + state.drift.size,
+            len(state.relief),
+            state.displacement.size,
+        ]
+    )
+    return tuple(slice(int(a), int(b)) for a, b in zip([0, *ends], ends, strict=False))  # type: ignore[return-value]
+
+
+def _lens_gradient(lens: Lens, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Derivative (n, 2, parameters) of pixels by the lens's parameters."""
+    gradient = np.empty((len(points), 2, len(lens.intrinsics)))
+    for number, value in enumerate(lens.intrinsics):
+        step = 1e-5 * max(1.0, abs(value))
+        ends = []
+        for sign in (1, -1):
+            intrinsics = lens.intrinsics.copy()
+            intrinsics[number] += sign * step
+            ends.append(replace(lens, intrinsics=intrinsics).project(points))
+        gradient[..., number] = (ends[0] - ends[1]) / (2 * step)
+    return gradient
+
+
+def _motion(points: NDArray[np.float64], gradient: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Derivative (n, i, 6) of what has a gradient (n, i, 3) by a turn and shift of points."""
+    return np.concatenate([np.cross(points[:, None, :], gradient), gradient], axis=-1)
+
+
+@dataclass(frozen=True)
+class _Equations:
+    """Residuals of one view and their derivatives."""
+
+    residual: NDArray[np.float64]  # (n, 2)
+    rig: NDArray[np.float64]  # (n, 2, parameters + 6)
+    view: NDArray[np.float64]  # (n, 2, 12), by the board's pose and the projector's drift
+    relief: NDArray[np.float64]  # (n, 2), by the height
+    index: NDArray[np.int_]  # (n, 16)
+    basis: NDArray[np.float64]  # (n, 16)
+    place: NDArray[np.float64] | None = None  # (n, 2, 2), by the corner's displacement
+
+
+def _surface_equations(
+    problem: _Problem, state: _State, view: int, *, derivatives: bool = True
+) -> _Equations:
+    samples, pose, rig = problem.samples[view], state.poses[view], state.rig
+    ray = rig.camera.unproject(samples.pixels)
+    turn = rotation(pose)
+    start, along = -turn.T @ pose[3:], ray @ turn
+    depth = -start[2] / along[:, 2]
+    for _ in range(_MEETINGS):
+        at = start + depth[:, None] * along
+        height = problem.grid.heights(state.relief, at[:, :2])
+        normal = np.column_stack([-height[:, 1:], np.ones(len(at))])
+        facing = np.einsum("ni,ni->n", along, normal)
+        depth = depth - (at[:, 2] - height[:, 0]) / facing
+    point = depth[:, None] * ray
+    usual, drift = transform(rig.rt_proj_cam, point), state.drift[view]
+    lit = transform(drift, usual)
+    pixels, gradient = rig.projector.project_with_gradient(lit)
+    residual = samples.coordinates - pixels
+    index, basis = problem.grid.basis(at[:, :2])
+    nothing = np.zeros((len(ray), 2, 0))
+    if not derivatives:
+        return _Equations(residual, nothing, nothing, residual, index, basis[..., 0])
+    before = gradient @ rotation(drift)
+    by_point = before @ rotation(rig.rt_proj_cam)
+    by_depth = np.einsum("nij,nj->ni", by_point, ray)
+    towards = normal @ turn.T
+    # Moving the surface by d moves the point along the ray by N·d / N·ray.
+    surface = by_depth[:, :, None] * (towards / facing[:, None])[:, None, :]
+    _, bend = rig.camera.project_with_gradient(ray)
+    slope = -np.linalg.solve(bend[..., :2], _lens_gradient(rig.camera, ray))
+    by_ray = depth[:, None, None] * (by_point - surface)[..., :2]
+    return _Equations(
+        residual,
+        np.concatenate(
+            [by_ray @ slope, _lens_gradient(rig.projector, lit), _motion(usual, before)], axis=-1
+        ),
+        np.concatenate([_motion(point, surface), _motion(lit, gradient)], axis=-1),
+        by_depth / facing[:, None],
+        index,
+        basis[..., 0],
+    )
+
+
+def _corner_equations(problem: _Problem, state: _State, view: int) -> _Equations:
+    pose, rig = state.poses[view], state.rig
+    points = problem.board.points.reshape(-1, 3).copy()
+    points[:, :2] += state.displacement.reshape(-1, 2)
+    index, basis = problem.grid.basis(points[:, :2])
+    height = np.einsum("nk,nkj->nj", state.relief[index], basis)
+    points[:, 2] = height[:, 0]
+    here = transform(pose, points)
+    pixels, gradient = rig.camera.project_with_gradient(here)
+    on_board = gradient @ rotation(pose)
+    by_rig = np.zeros((len(points), 2, state.lens_parameters + 6))
+    count = len(rig.camera.intrinsics)
+    by_rig[..., :count] = _lens_gradient(rig.camera, here)
+    by_place = on_board[..., :2] + on_board[..., 2:] * height[:, None, 1:]
+    return _Equations(
+        problem.corners[view].reshape(-1, 2) - pixels,
+        by_rig,
+        np.concatenate([_motion(here, gradient), np.zeros((len(points), 2, 6))], axis=-1),
+        on_board[..., 2],
+        index,
+        basis[..., 0],
+        by_place,
+    )
+
+
+def _spread(residual: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(1.4826 * np.nanmedian(np.abs(residual), axis=0))
+
+
+def _robust(
+    residual: NDArray[np.float64], sigma: NDArray[np.float64], reach: float
+) -> NDArray[np.float64]:
+    """Tukey's weights; a coordinate that is off takes the other with it."""
+    share = np.clip(1 - (residual / (reach * sigma)) ** 2, 0, None)
+    return np.repeat(np.nan_to_num(share.min(axis=-1, keepdims=True)), 2, axis=-1)
+
+
+def _weights(problem: _Problem, state: _State, reach: float) -> _Weights:
+    """Of all views together: a view weighed by its own residuals alone could be given up."""
+    views = range(len(state.poses))
+    left = [_surface_equations(problem, state, v, derivatives=False).residual for v in views]
+    noise = np.median(np.concatenate([s.variance for s in problem.samples]), axis=0)
+    floor = np.sqrt(np.maximum(_spread(np.concatenate(left)) ** 2 - noise, 0))
+    means = []
+    for residual, samples in zip(left, problem.samples, strict=True):
+        sigma = np.sqrt(samples.variance + floor**2)
+        weight = _robust(residual, sigma, reach) / sigma**2
+        _, tile = np.unique(samples.tile, return_inverse=True)
+        for k in (0, 1):
+            total = np.bincount(tile, weight[:, k])
+            summed = np.bincount(tile, weight[:, k] * np.nan_to_num(residual[:, k]))
+            means.append((k, summed[total > 0] ** 2 / total[total > 0]))
+    alike = [
+        max(1.0, float(np.mean(np.concatenate([m for axis, m in means if axis == k]))))
+        for k in (0, 1)
+    ]
+    corners = np.concatenate([_corner_equations(problem, state, v).residual for v in views])
+    # Each corner's place is fitted to one residual in so many.
+    spent = len(views) / (len(views) - 1)
+    corner = float(np.sqrt(np.mean(_spread(corners) ** 2) * spent))
+    return _Weights(floor, np.array(alike), corner, reach)
+
+
+def _normal_equations(
+    problem: _Problem, state: _State, weights: _Weights
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    rig, poses, relief, place = _blocks_of(state)
+    normal = np.zeros((place.stop, place.stop))
+    right = np.zeros(place.stop)
+    for view, samples in enumerate(problem.samples):
+        surface = _surface_equations(problem, state, view)
+        sigma = np.sqrt(samples.variance + weights.floor_px**2)
+        weight = _robust(surface.residual, sigma, weights.reach) / (sigma**2 * weights.alike)
+        seen = _corner_equations(problem, state, view)
+        corner = np.full(seen.residual.shape, weights.corner_px)
+        pairs = (
+            (surface, weight),
+            (seen, _robust(seen.residual, corner, weights.reach) / corner**2),
+        )
+        for equations, each in pairs:
+            _add(normal, right, equations, each, (rig, poses, relief, place), view)
+    _add_priors(problem, state, normal, right)
+    return normal, right
+
+
+def _add(
+    normal: NDArray[np.float64],
+    right: NDArray[np.float64],
+    equations: _Equations,
+    weight: NDArray[np.float64],
+    blocks: tuple[slice, slice, slice, slice],
+    view: int,
+) -> None:
+    rig, poses, relief, place = blocks
+    known = np.isfinite(equations.residual).all(axis=-1) & (weight > 0).all(axis=-1)
+    count = int(known.sum())
+    root = np.sqrt(weight[known])[..., None]
+    residual = (equations.residual[known][..., None] * root).ravel()
+    dense = np.concatenate([equations.rig, equations.view], axis=-1)[known] * root
+    dense = dense.reshape(2 * count, -1)
+    value = equations.relief[known][..., None] * equations.basis[known][:, None, :] * root
+    column = np.repeat(equations.index[known][:, None, :], 2, axis=1)
+    row = np.repeat(np.arange(2 * count), value.shape[-1])
+    parts = [(value.ravel(), row, column.ravel())]
+    size = relief.stop - relief.start
+    if equations.place is not None:
+        own = 2 * np.flatnonzero(known)[:, None, None] + np.arange(2)
+        own = np.broadcast_to(own, (count, 2, 2))
+        moved = equations.place[known] * root
+        parts.append((moved.ravel(), np.repeat(np.arange(2 * count), 2), size + own.ravel()))
+    values, rows, columns = (np.concatenate([p[k] for p in parts]) for k in range(3))
+    width = size + place.stop - place.start
+    thin = sparse.csr_matrix((values, (rows, columns)), shape=(2 * count, width))
+    at = np.r_[np.arange(rig.start, rig.stop), poses.start + 12 * view + np.arange(12)]
+    normal[np.ix_(at, at)] += dense.T @ dense
+    cross = np.asarray(thin.T @ dense)
+    normal[relief.start :, at] += cross
+    normal[np.ix_(at, np.arange(relief.start, place.stop))] += cross.T
+    normal[relief.start :, relief.start :] += (thin.T @ thin).toarray()
+    right[at] += dense.T @ residual
+    right[relief.start :] += thin.T @ residual
+
+
+def _add_priors(
+    problem: _Problem, state: _State, normal: NDArray[np.float64], right: NDArray[np.float64]
+) -> None:
+    _, poses, relief, place = _blocks_of(state)
+    for view, drift in enumerate(state.drift):
+        own = poses.start + 12 * view + 6 + np.arange(6)
+        normal[own, own] += 1 / problem.drift**2
+        right[own] -= drift / problem.drift**2
+    rough = problem.grid.roughness() / problem.roughness_mm
+    # The plane of the relief is that of the poses.
+    points = problem.board.points.reshape(-1, 3)
+    plane = np.linalg.qr(np.column_stack([np.ones(len(points)), points[:, :2]]))[0]
+    index, basis = problem.grid.basis(points[:, :2])
+    at_corners = np.zeros((len(points), problem.grid.size))
+    np.put_along_axis(at_corners, index, basis[..., 0], axis=1)
+    held = _HELD * plane.T @ at_corners
+    normal[relief, relief] += (rough.T @ rough).toarray() + held.T @ held
+    right[relief] -= rough.T @ (rough @ state.relief) + held.T @ (held @ state.relief)
+    # What no sample reaches has no height.
+    normal[relief, relief] += 1e-4 * np.eye(problem.grid.size)
+    right[relief] -= 1e-4 * state.relief
+    # Pose and size of the corners are not theirs to take; their shear, however large, is.
+    same = similarities(points[:, :2]).reshape(-1, 4)
+    sheared = shears(points[:, :2]).reshape(-1, 2)
+    each = np.eye(len(same)) - sheared @ sheared.T
+    pinned = _HELD**2 * same @ same.T + each / problem.displacement_mm**2
+    normal[place, place] += pinned
+    right[place] -= pinned @ state.displacement.ravel()
+
+
+def _solved(problem: _Problem, state: _State, covariance: NDArray[np.float64]) -> DenseSolution:
+    rig, _, _, _ = _blocks_of(state)
+    count = state.lens_parameters
+    step = 1e-6
+    turned = np.empty((6, 6))
+    for k in range(6):
+        ends = [compose(sign * step * np.eye(6)[k], state.rig.rt_proj_cam) for sign in (1, -1)]
+        turned[:, k] = (ends[0] - ends[1]) / (2 * step)
+    lever = np.eye(rig.stop)
+    lever[count:, count:] = turned
+    found = lever @ covariance[rig, rig] @ lever.T
+    views = range(len(state.poses))
+    left = [_surface_equations(problem, state, v, derivatives=False).residual for v in views]
+    seen = [_corner_equations(problem, state, v).residual for v in views]
+    return DenseSolution(
+        rig=replace(state.rig, covariance=(found + found.T) / 2),
+        rt_cam_board=state.poses,
+        drift=state.drift,
+        grid=problem.grid,
+        relief=state.relief,
+        displacement_mm=state.displacement,
+        sample_rms_px=np.array([_spread(residual) for residual in left]),
+        corner_rms_px=np.array([np.sqrt(np.mean(_spread(r) ** 2)) for r in seen]),
+    )
