@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -82,13 +83,19 @@ def _tables(copy: DigitalCopy, maps: ReflectanceMaps) -> list[Table]:
     tables = [Table(tuple(rows))] if rows else []
     materials = found.get("materials") or []
     if materials:
-        heading = ("material", "k", "lobe", "misfit, of its radiance")
+        heading = ("material", "k", "lobe", "misfit, of a 20 % grey's radiance")
         lobes = tuple(
-            (str(n), f"{m['k']:.1f}", m["variant"].lower(), f"{100 * m['misfit_relative']:.1f} %")
+            (str(n), f"{m['k']:.1f}", m["variant"].lower(), f"{100 * _misfit(m):.1f} %")
             for n, m in enumerate(materials, start=1)
         )
         tables.append(Table(lobes, heading))
     return tables
+
+
+def _misfit(material: dict[str, Any]) -> float:
+    """What the lobe is off by, its floor and its share of the radiance, for a matt 20 % grey."""
+    grey = 0.2 / math.pi
+    return math.hypot(material["misfit"] / grey, material["misfit_relative"])
 
 
 def held_out_section(copy_folder: Path) -> Section | None:

@@ -36,10 +36,12 @@ def stages_section(run: dict[str, Any], sessions: tuple[Session, ...]) -> Sectio
     text = "What is kept from before was made from the same recording by the same program."
     if run.get("quality"):
         expected = sum((run.get("expected_seconds") or {}).values())
-        text = (
-            f"Quality {run['quality']}, which was expected to take {clock_text(expected)} if every "
-            f"stage ran. {text}"
+        foreseen = (
+            f", which was expected to take {clock_text(expected)} if every stage ran"
+            if expected > 0
+            else ""
         )
+        text = f"Quality {run['quality']}{foreseen}. {text}"
     return Section("Stages", text, tables=tuple(tables))
 
 

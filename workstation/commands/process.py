@@ -232,6 +232,7 @@ def _process_scan(
     from workstation.quality import Quality, describe
     from workstation.stage_cache import StageCache
     from workstation.stage_progress import clock_text, stage_progress
+    from workstation.stage_times import note_times, times_before
     from workstation.up_to_date import note_written
 
     quality = Quality(choices.quality.value)
@@ -242,7 +243,9 @@ def _process_scan(
     if pictures is not None:
         mosaic_of(pictures, choices.mosaic)
     stages = StageCache(kept)
-    expected = expected_seconds(stages, session, photographs=pictures, quality=quality)
+    expected = expected_seconds(StageCache(None), session, photographs=pictures, quality=quality)
+    before = times_before(kept, str(quality))
+    expected |= {name: before[name] for name in expected if name in before}
     total = sum(expected.values())
     typer.echo(
         f"{quality}: about {clock_text(total)} if every stage runs; {describe(quality)}", err=True
@@ -263,6 +266,7 @@ def _process_scan(
         too_late_to_stop()
         write_processed(done, out, ggx=choices.ggx, exact_maps=choices.exact_maps)
         write_run(done, out, expectation)
+        note_times(kept, str(quality), stages.runs)
         note_written(out, kept, request, figures, beside=files_beside(out))
     for warning in done.warnings:
         typer.echo(f"warning: {warning}", err=True)
