@@ -24,6 +24,7 @@ from render.opengl import GL
 from render.painting_maps import PaintingMaterial
 from render.painting_primitive import PaintingPrimitive
 from render.surface_shapes import bounds, box
+from render.surface_tiles import SurfaceTiles
 
 BUDGET_PX = 0.25
 """Parallax in pixels that is left by default: too little to be seen."""
@@ -46,6 +47,12 @@ _RELAXED, _NEAR_ENOUGH = (2.2, 1.2), (1.0, 0.5)
 # texels a pixel.
 _GRAZING = (0.7, 1.0)
 _TRIANGLES = (0.7, 0.5)
+# Pixels of the picture per triangle of a sculpted relief from which its triangles are drawn, and
+# rays do not search for them.
+_LARGE_PX = 4.0
+# First and number of triangles: of the plane, and of the box for exact searches; after them come
+# the surface's own.
+_PLANE, _BOX = (0, 2), (2, 12)
 
 
 class Search(StrEnum):
@@ -246,23 +253,53 @@ class BoundedPrimitive(PaintingPrimitive):
         if not 0 < budget_px < math.inf:
             raise RenderError(f"the error budget must be positive, not {budget_px} px")
         material.prepare_search()
-        low, high = bounds(copy)
+        shape = SurfaceShape.of(copy.height_field, material.height_levels)
         plane = np.array([[x, y, 0.0] for y in (0.0, 1.0) for x in (0.0, 1.0)])
-        corners, faces = box(low, high)
-        triangles = np.concatenate([[[0, 1, 3], [0, 3, 2]], faces + len(plane)])
+        corners, faces = box(*bounds(copy))
+        vertices = [plane, corners]
+        triangles = [np.array([[0, 1, 3], [0, 3, 2]]), faces + len(plane)]
+        self._tiles = SurfaceTiles.of(copy) if shape.sculpted else None
+        if self._tiles is not None:
+            vertices.append(self._tiles.vertices)
+            triangles.append(self._tiles.triangles + len(plane) + len(corners))
         super().__init__(
-            np.concatenate([plane, corners]), triangles, material, _shaders(Search.GRAZING)
+            *(np.concatenate(vertices), np.concatenate(triangles)),
+            *(material, _shaders(Search.GRAZING)),
         )
-        self._shape = SurfaceShape.of(copy.height_field, material.height_levels)
+        self._shape = shape
+        self._runs = [_PLANE]
         self._budget_px = float(budget_px)
         self._exact_doubles = exact_doubles(copy)
-        self._search = Search.GRAZING
 
-    def look(self, eye: NDArray[np.float64], pixel_angle: float) -> None:
-        """Make ready for a view from a place (3,) of the canvas frame, pixels so many radians."""
+    def look(
+        self,
+        eye: NDArray[np.float64],
+        pixel_angle: float,
+        to_clip: NDArray[np.float64],
+        pixels: int,
+    ) -> None:
+        """Make ready for a view.
+
+        Parameters
+        ----------
+        eye : (3,) array
+            Place in the canvas frame, mm.
+        pixel_angle : float
+            Radians.
+        to_clip : (4, 4) array
+            From the canvas frame to the view's clip space.
+        pixels : int
+            Of the picture.
+        """
         needs = self._shape.needs(eye, pixel_angle, self._budget_px)
-        self._search = needs.search
+        self._runs = [_PLANE]
         if needs.search is Search.EXACT:
+            large = self._large_triangles(to_clip, pixels)
+            if large is not None:
+                self.shaders, self._culled = ("plain.vert", "mesh.frag", ""), GL.GL_BACK
+                self._uniforms, self._doubles, self._runs = {}, {}, large
+                return
+            self._runs = [_BOX]
             self.shaders, self._culled = NEARLY_EXACT_SHADERS, GL.GL_FRONT
             self._uniforms, self._doubles = {}, self._exact_doubles
             return
@@ -283,10 +320,24 @@ class BoundedPrimitive(PaintingPrimitive):
             "budget": self._budget_px,
         }
 
+    def _large_triangles(
+        self, to_clip: NDArray[np.float64], pixels: int
+    ) -> list[tuple[int, int]] | None:
+        """Runs of the triangles that are seen, where they are so large that it is less work."""
+        if self._tiles is None:
+            return None
+        runs = self._tiles.runs(self._tiles.seen(to_clip))
+        if pixels < _LARGE_PX * sum(count for _, count in runs):
+            return None
+        before = _BOX[0] + _BOX[1]
+        return [(before + first, count) for first, count in runs]
+
     def _draw_triangles(self, camera: NDArray[np.float64]) -> None:
-        # The plane comes first in the buffer, the box for exact searches after it.
-        first, count = (6, 36) if self._search is Search.EXACT else (0, 6)
-        GL.glDrawElements(GL.GL_TRIANGLES, count, GL.GL_UNSIGNED_INT, ctypes.c_void_p(4 * first))
+        for first, count in self._runs:
+            GL.glDrawElements(
+                *(GL.GL_TRIANGLES, 3 * count),
+                *(GL.GL_UNSIGNED_INT, ctypes.c_void_p(12 * first)),
+            )
 
 
 def _most_steps(needs: ViewNeeds, budget_px: float) -> int:

@@ -126,8 +126,12 @@ class PaintingRenderer(pyrender.renderer.Renderer):
         began = time.process_time()
         camera = scene.main_camera_node
         projection = camera.camera.get_projection_matrix(self.viewport_width, self.viewport_height)
-        away = scene.get_pose(camera)[:3, 3] - pose[:3, 3]
-        primitive.look(pose[:3, :3].T @ away, 2 / (projection[1, 1] * self.viewport_height))
+        to_canvas = np.linalg.inv(pose) @ scene.get_pose(camera)
+        primitive.look(
+            *(to_canvas[:3, 3], 2 / (projection[1, 1] * self.viewport_height)),
+            projection @ np.linalg.inv(to_canvas),
+            self.viewport_width * self.viewport_height,
+        )
         # A view may need maps that none before it did.
         for texture in primitive.material.textures - self._mesh_textures:
             texture._add_to_context()

@@ -11,6 +11,7 @@ from render.errors import RenderError
 from render.painter import BACKGROUND
 from render.painting_maps import PaintingMaterial
 from render.painting_node import Mode
+from render.surface_tiles import SurfaceTiles
 from render.views import NamedView, View, named_view
 
 WIDTH, HEIGHT = 320, 240
@@ -93,6 +94,44 @@ def test_a_view_along_the_surface_is_searched_exactly(painter, copy):
         assert not differs.any()
         # In single precision.
         assert np.nanmax(parallax, initial=0.0) < 1e-4
+
+
+@pytest.fixture(scope="module")
+def sculpted():
+    height = 3 * strokes()
+    mask = np.random.default_rng(0).random(height.shape) > 0.03
+    return make_copy(height, mask=mask)
+
+
+def test_a_sculpted_relief_is_drawn_by_large_triangles_and_searched_for_small_ones(
+    painter, sculpted
+):
+    steps = {}
+    for elevation, distance in ((80.0, 16.0), (80.0, 150.0), (20.0, 30.0)):
+        view = View(np.deg2rad(-90), np.deg2rad(elevation), distance)
+        parallax, differs = parallax_px(painter, sculpted, view)
+        assert np.nanquantile(parallax, 0.95) <= 0.01
+        assert differs.sum() <= 0.001 * differs.size
+        work = painter.work(sculpted, view, mode=Mode.BOUNDED, width=WIDTH, height=HEIGHT)
+        steps[distance] = work[..., 0].sum()
+    assert steps[16.0] == 0
+    assert steps[150.0] > 0
+
+
+def test_tiles_out_of_sight_are_left_out(sculpted):
+    tiles = SurfaceTiles.of(sculpted)
+    assert tiles.runs(np.ones(len(tiles.corners), bool)) == [(0, len(tiles.triangles))]
+    assert tiles.runs(np.zeros(len(tiles.corners), bool)) == []
+    # Orthographic, X from 0 to 20 and Y from -5 to 5.
+    to_clip = np.array([[0.1, 0, 0, -1], [0, 0.2, 0, 0], [0, 0, -0.01, 0], [0, 0, 0, 1.0]])
+    seen = tiles.seen(to_clip)
+    assert 0 < seen.sum() < 0.3 * len(seen)
+    drawn = np.concatenate(
+        [tiles.triangles[first : first + count] for first, count in tiles.runs(seen)]
+    )
+    place = tiles.vertices[tiles.triangles].mean(axis=1)
+    inside = (np.abs(place[:, 0] - 10) < 10) & (np.abs(place[:, 1]) < 5)
+    assert {*map(tuple, tiles.triangles[inside])} <= {*map(tuple, drawn)}
 
 
 def test_needs_change_from_a_plane_to_a_search_as_the_camera_nears(copy):
