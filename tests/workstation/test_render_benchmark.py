@@ -84,9 +84,11 @@ def test_the_first_table_tells_where_its_order_is_not_the_papers():
 
 def test_the_second_table_tells_where_its_order_is_not_the_papers():
     paper = {20: 1.0, 5: 2.0, 10: 3.0, 50: 4.0, 100: 5.0}
-    assert order_of_sizes(paper, "front").endswith("as in the paper")
-    other = order_of_sizes(dict(zip(paper, range(5, 0, -1), strict=True)), "front")
+    had = {n: f"work {n}" for n in paper}
+    assert order_of_sizes(paper, had, "front").endswith("as in the paper")
+    other = order_of_sizes(dict(zip(paper, range(5, 0, -1), strict=True)), had, "front")
     assert "size 100, 50, 10, 5, 20, the paper's 20, 5, 10, 50, 100" in other
+    assert "100 has work 100, 20 work 20" in other
 
 
 def rough_triangles():
