@@ -149,7 +149,10 @@ def _read_picture(path: Path, *, linear: bool) -> _Picture:
     Grey pictures have three equal channels, whose variance is tripled: together they say no more
     than one.
     """
-    picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    try:
+        picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:  # of a size beyond all sense, for one
+        raise FittingError(f"{path}: not a readable picture ({error.err})") from None
     if picture is None:
         raise FittingError(f"{path}: not a readable picture")
     grey = picture.ndim == 2

@@ -286,7 +286,8 @@ def _read_dome(folder: Path) -> bytes:
 
 
 def _read_stored(folder: Path) -> bytes:
-    digest = (folder / _DIGEST_FILE).read_text(errors="replace")
+    noted = folder / _DIGEST_FILE
+    digest = noted.read_text(errors="replace") if noted.is_file() else ""
     return fingerprint(pickle.dumps(read_result(folder / _RESULT_FILE, digest)))
 
 
