@@ -6,13 +6,14 @@ minute from an hour, and a second run on the same machine knows better.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from acquisition.plan import Purpose
 from acquisition.session import Session
 from workstation.processing import DECODING, FIGURES, REFLECTANCE, REGISTRATION, RELIEF, SURFACE
 from workstation.quality import Quality, expectation
-from workstation.stage_cache import StageCache
 
 # Seconds: at least, and per million pixels or samples.
 _START_S = 0.3
@@ -27,22 +28,22 @@ _ON_CANVAS = 0.4
 
 
 def expected_seconds(
-    stages: StageCache,
     session: Session,
     *,
     photographs: Session | None = None,
     quality: Quality = Quality.NORMAL,
+    before: Mapping[str, float] | None = None,
 ) -> dict[str, float]:
     """Seconds that each stage is expected to take if it runs, in order.
 
     Parameters
     ----------
-    stages : StageCache
-        With what the stages took before.
     session : Session
         The scan.
     photographs : Session, optional
     quality : Quality
+    before : mapping of str to float, optional
+        What stages took at this quality before, by their names.
     """
     megapixels = _megapixels(session)
     found = {
@@ -61,8 +62,7 @@ def expected_seconds(
         found[REFLECTANCE] = _READING_S * size * len(frames) + expectation(quality).fit_time * (
             _SURVEY_S + _FITTING_S * _ON_CANVAS * megapixels * pictures
         )
-    known = {name: stages.seconds_before(name) for name in found}
-    return {name: known[name] or seconds for name, seconds in found.items()}
+    return {name: (before or {}).get(name, seconds) for name, seconds in found.items()}
 
 
 def _megapixels(session: Session) -> float:

@@ -150,7 +150,11 @@ def _captured(session: Session, *, title: str = "What was captured") -> Section:
     rows = [
         ("frames", ", ".join(f"{n} for {purpose}" for purpose, n in purposes.items())),
         ("left out of their brackets", str(len(session.skipped))),
-        ("camera", f"{camera.width} × {camera.height} pixels"),
+        (
+            "camera",
+            f"{camera.width} × {camera.height} pixels"
+            + ("" if camera.mosaic is None else f", mosaic {camera.mosaic}"),
+        ),
         ("projector", f"{panel.width} × {panel.height} pixels"),
         ("exposures", ", ".join(f"{1000 * t:.4g} ms" for t in exposures) or "not known"),
         ("camera positions", ", ".join(sorted(places)) or "one"),

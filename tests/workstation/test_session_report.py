@@ -96,6 +96,7 @@ def copy(tmp_path):
         "errors": ERRORS,
         "warnings": ["two canvases & one frame"],
         "parameters": {"surface": {"pitch_mm": None}},
+        "calibration": "that of another folder",
     }
     write_copy(replace(made, reflectance=maps, provenance=provenance), tmp_path / "copy")
     return tmp_path / "copy"
@@ -122,6 +123,7 @@ def test_the_page_tells_everything_and_asks_for_nothing(copy, session, tmp_path)
         "4.2 s spared",
         "3 of 12",
         "by default from the data",
+        "a calibration that is not the session's own and not at hand",
         Session.open(session).digest,
     ):
         assert word in text, word

@@ -243,9 +243,8 @@ def _process_scan(
     if pictures is not None:
         mosaic_of(pictures, choices.mosaic)
     stages = StageCache(kept)
-    expected = expected_seconds(StageCache(None), session, photographs=pictures, quality=quality)
     before = times_before(kept, str(quality))
-    expected |= {name: before[name] for name in expected if name in before}
+    expected = expected_seconds(session, photographs=pictures, quality=quality, before=before)
     total = sum(expected.values())
     typer.echo(
         f"{quality}: about {clock_text(total)} if every stage runs; {describe(quality)}", err=True
