@@ -1,14 +1,21 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import OpenEXR
 import pytest
 import typer
+from tiny_rig import TinyCamera, TinyScene, tiny_rig
 from typer.testing import CliRunner
 
+from acquisition.errors import SessionError
+from acquisition.photograph_plan import PhotographChoices, plan_photographs
+from acquisition.recording import record_plan
+from acquisition.session_writer import SessionWriter
+from devices.bayer import BayerPattern
 from fitting.copy_files import read_copy
 from workstation.commands import process
 
@@ -70,3 +77,23 @@ def test_contradictions_are_usage_errors(tmp_path, arguments, message):
     result = run(*arguments, "--out", tmp_path / "copy")
     assert result.exit_code == 2
     assert message in result.output
+
+
+class ColourCamera(TinyCamera):
+    capabilities = replace(TinyCamera.capabilities, bayer=BayerPattern.GRBG)
+
+
+def test_a_mosaic_that_is_not_the_camera_s_is_refused_before_any_stage(tmp_path):
+    scene = TinyScene()
+    rig = tiny_rig(scene, camera=ColourCamera(scene))
+    choices = PhotographChoices(
+        exposures_s=(0.1,), code_exposures_s=(0.1,), poses=2, steps=3, period_px=32.0
+    )
+    taken = tmp_path / "taken"
+    with SessionWriter.create(taken, plan_photographs(rig, choices)) as writer:
+        record_plan(writer, rig)
+    given = ("--photographs", taken, "--lamps", tmp_path / "lamps.json", "--mosaic", "RGGB")
+    refused = run(taken, *given, "--out", tmp_path / "copy").exception
+    assert isinstance(refused, SessionError)
+    assert "mosaic of GRBG, not RGGB" in str(refused)
+    assert [path.name for path in tmp_path.iterdir()] == ["taken"]
