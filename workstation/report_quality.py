@@ -38,6 +38,7 @@ def quality_section(
         ("all stages", clock_text(expected) if expected else "", clock_text(taken)),
         (
             "error of heights",
+            f"{1e3 * chosen.height_mm:.1f} µm on {curve.scene}, "
             f"{chosen.height_mm / usual.height_mm:.2f} times that of normal",
             "; ".join(found),
         ),
@@ -46,6 +47,7 @@ def quality_section(
         rows.append(
             (
                 "photographs kept out of the fit",
+                f"{chosen.heldout_db:.1f} dB there, "
                 f"{chosen.heldout_db - usual.heldout_db:+.1f} dB against normal",
                 f"{errors['heldout_psnr_db']:.1f} dB",
             )
@@ -57,8 +59,8 @@ def quality_section(
         f"Quality {quality} of this copy, and below it what other settings cost and give: measured "
         f"on {curve.scene} on {curve.measured} by {curve.software}, {curve.machine}. The line "
         "joins what no other setting beats; the star is normal, and a ring is around this copy's "
-        f"quality, which {on_it} on the Pareto front of time and both errors. Other paintings and "
-        "machines have other figures, in much the same ratios.",
+        f"quality, which {on_it} on the Pareto front of time and both errors. Other paintings, "
+        "sizes and machines have other figures.",
         tables=(Table(tuple(rows), ("", "stated before", "measured")),),
         pictures=curve_pictures(curve, chosen=quality),
     )

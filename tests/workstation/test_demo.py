@@ -55,7 +55,10 @@ def test_the_demo_is_as_accurate_as_it_predicts(made):
 
 def test_its_report_has_every_part_and_the_copy_its_reflectance(made):
     page = (made / "index.html").read_text()
-    for part in ("Photographs kept out", "Against the truth", "Reflectance", "Stages", "Views"):
+    for part in (
+        *("Photographs kept out", "Against the truth", "Reflectance", "Stages", "Views"),
+        "Run time against error",
+    ):
         assert f"<h2>{part}</h2>" in page
     assert page.count('type="range"') == 2
     copy = read_copy(made / "copy")
