@@ -14,8 +14,9 @@ import json
 import math
 from dataclasses import fields, is_dataclass
 from enum import Enum
+from io import BufferedRandom, BufferedReader
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
@@ -89,7 +90,7 @@ def read_result(path: Path, digest: str) -> Any:
         raise ResultFileError(f"{path}: no result, or of another version ({error})") from None
 
 
-def _digest(file: IO[bytes]) -> str:
+def _digest(file: BufferedReader | BufferedRandom) -> str:
     file.seek(0)
     return hashlib.file_digest(file, "sha256").hexdigest()
 
