@@ -42,6 +42,8 @@ def save_light_arm(arm: LightArm, path: Path) -> None:
         "suspect": list(arm.suspect),
         "inflation": arm.inflation,
         "shading_excess": arm.shading_excess,
+        "shading_misfit": None if np.isnan(arm.shading_misfit) else arm.shading_misfit,
+        "sphere_shift_sigmas": arm.sphere_shift_sigmas.tolist(),
     }
     write_bytes(Path(path), (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
 
@@ -101,6 +103,9 @@ def _arm(content: dict[str, Any]) -> LightArm:
         tuple(int(n) for n in content["suspect"]),
         _positive(content["inflation"]),
         _positive(content["shading_excess"]),
+        # Files of before these were kept lack them.
+        shading_misfit=_number_or_nan(content.get("shading_misfit")),
+        sphere_shift_sigmas=np.array([_number(n) for n in content.get("sphere_shift_sigmas", ())]),
     )
 
 
@@ -109,6 +114,10 @@ def _number(value: Any) -> float:
     if not np.isfinite(number):
         raise ValueError(f"{value} is not finite")
     return number
+
+
+def _number_or_nan(value: Any) -> float:
+    return float("nan") if value is None else _number(value)
 
 
 def _positive(value: Any) -> float:

@@ -26,7 +26,8 @@ _STEP = 1e-6
 _PIXEL_STEP = 0.01
 _LEAST_GAIN = 1e-6
 # Those of an arm's numbers that are the lamp's: aim, intensity and exponent.
-_LAMP = slice(10, 17)
+LAMP = slice(10, 17)
+INTENSITY = slice(13, 16)
 # Chance below which a misfit is not taken for noise.
 _CHANCE = 1e-4
 
@@ -207,6 +208,23 @@ class ArmProblem:
             predicted = predicted * self._gains_of(predicted)[:, np.newaxis]
         return np.asarray((predicted - shading.radiance) / (shading.sigma * np.sqrt(self.excess)))
 
+    def shading_misfit(self, arm: ArmParameters) -> float:
+        """Root mean square of the target's radiance over that predicted, less one."""
+        predicted = self._predicted_radiance(arm)
+        if self.shading.gains_unknown:
+            predicted = predicted * self._gains_of(predicted)[:, np.newaxis]
+        seen = np.isfinite(self.shading.radiance) & (predicted > 0)
+        if not seen.any():
+            return float("nan")
+        off = self.shading.radiance[seen] / predicted[seen] - 1
+        return float(np.sqrt(np.mean(off**2)))
+
+    def sphere_shift_sigmas(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+        """By which spheres were moved (spheres,), over their standard errors, RMS of three axes."""
+        _, moves = self.split(numbers)
+        shifts = [_whitened(one, move) for one, move in zip(self.highlights, moves, strict=True)]
+        return np.sqrt(np.mean(np.square(shifts), axis=1))
+
     def _predicted_radiance(self, arm: ArmParameters) -> NDArray[np.float64]:
         shading = self.shading
         places = arm.positions(self.poses)[:, np.newaxis]
@@ -232,7 +250,7 @@ class ArmProblem:
         free = 1 if self.shading.gains_unknown else 0
         alike = 1 / 3 if self.shading.is_monochrome else 1.0
         # What the lamp's numbers take up is no misfit; what the highlights leave uncertain is none.
-        taken, _ = np.linalg.qr(by_number[_LAMP][:, known].T)
+        taken, _ = np.linalg.qr(by_number[LAMP][:, known].T)
         flat = by_number[:, known].T
         left = np.zeros_like(by_number)
         left[:, known] = (flat - taken @ (taken.T @ flat)).T
@@ -291,8 +309,7 @@ class ArmProblem:
         arm, moves = self.split(numbers)
         parts = [self.misses(numbers).ravel(), self.shading_residuals(arm).ravel()]
         for one, move in zip(self.highlights, moves, strict=True):
-            root = np.linalg.cholesky(one.sphere.covariance + 1e-12 * np.eye(3))
-            parts.append(np.linalg.solve(root, move))
+            parts.append(_whitened(one, move))
         parts.append(arm.prior_residuals())
         together = np.concatenate(parts)
         return np.where(np.isfinite(together), together, 0.0)
@@ -307,7 +324,7 @@ class ArmProblem:
             columns.append(ends / (2 * step[number]))
         jacobian = np.stack(columns, axis=1)
         if self.lamp_only:
-            jacobian[:, np.delete(np.arange(len(numbers)), _LAMP)] = 0.0
+            jacobian[:, np.delete(np.arange(len(numbers)), LAMP)] = 0.0
         return jacobian
 
     def minimise(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -371,6 +388,12 @@ class ArmProblem:
         count = len(self.start.as_array())
         arm = self.start.moved(numbers[:count] - self.start.as_array())
         return arm, numbers[count:].reshape(-1, 3)
+
+
+def _whitened(one: SphereHighlights, move: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A sphere's move (3,) in standard errors of its outline."""
+    root = np.linalg.cholesky(one.sphere.covariance + 1e-12 * np.eye(3))
+    return np.asarray(np.linalg.solve(root, move))
 
 
 def _consistency(residuals: NDArray[np.float64], lever: NDArray[np.float64]) -> float:

@@ -31,6 +31,24 @@ OPENCV_MODELS = {
 }
 
 
+def check_lens_model(model: str) -> None:
+    """Refuse a name that is none of a lens model that can be solved for.
+
+    Raises
+    ------
+    CalibrationError
+    """
+    try:
+        usable = mrcal.lensmodel_metadata_and_config(model)["has_gradients"]
+    except RuntimeError:
+        usable = False
+    if not usable:
+        names = [name.removeprefix("LENSMODEL_") for name in mrcal.supported_lensmodels()]
+        raise CalibrationError(
+            f"{model} is no lens model that can be solved for; there are {', '.join(names)}"
+        )
+
+
 @dataclass(frozen=True)
 class Lens:
     """A lens model with its parameters.

@@ -18,12 +18,12 @@ an error there is shared by all poses, and so belongs in the covariance. NLopt's
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.arm_fit import ArmProblem, SphereHighlights, TargetShading
+from calibration.arm_fit import INTENSITY, LAMP, ArmProblem, SphereHighlights, TargetShading
 from calibration.arm_geometry import ArmParameters, initial_arm
 from calibration.errors import CalibrationError
 from calibration.lamp import Lamp
@@ -64,9 +64,14 @@ class LightArm:
         By which variances were scaled, since all highlights are off by more than noise explains.
     shading_excess : float
         Likewise of the target's radiance: above 1, the lamp's anisotropy is another one, or the
-        target is not matt.
+        target is not matt, and the highlights alone told where the lamp is.
     target_gains : (points,) float64 array or None
         Factors of the target's points, where they were not known.
+    shading_misfit : float
+        Root mean square relative error of the target's radiance; NaN where it was not kept.
+    sphere_shift_sigmas : (spheres,) float64 array
+        How far the highlights moved each sphere from where its outline is, root mean square over
+        three axes, in standard errors; empty where it was not kept.
     """
 
     parameters: ArmParameters
@@ -77,6 +82,8 @@ class LightArm:
     inflation: float
     shading_excess: float
     target_gains: NDArray[np.float64] | None = None
+    shading_misfit: float = float("nan")
+    sphere_shift_sigmas: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
 
     def lamp(self, pose: ArmPose) -> Lamp:
         """The lamp at a pose."""
@@ -154,11 +161,30 @@ def fit_light_arm(
     placed, _ = lamp.split(numbers)
     numbers[: len(placed.as_array())] += _lamp_step(placed, problem.poses, shading)
     numbers = lamp.minimise(numbers)
-    # A target that agrees with the highlights tells of the place too.
+    # A target that agrees with the highlights tells of the place too. One that does not errs alike
+    # under all poses, which no weight of single samples accounts for: it would move the arm.
     excess = lamp.shading_excess(numbers)
-    base = lamp.of_all(excess)
-    numbers = base.minimise(numbers)
-    return _result(base, numbers, misses=base.misses(numbers, rejected=True), excess=excess)
+    everything = lamp.of_all(excess)
+    together = everything.minimise(numbers)
+    if excess == 1:
+        return _result(everything, everything, together, excess=excess)
+    numbers = _with_lamp_of(together, numbers, everything)
+    return _result(everything, base, numbers, excess=excess)
+
+
+def _with_lamp_of(
+    together: NDArray[np.float64], numbers: NDArray[np.float64], problem: ArmProblem
+) -> NDArray[np.float64]:
+    """Numbers with the lamp of others, as bright on the target's middle as there."""
+    middle = problem.shading.points.mean(axis=0)
+    squares = [
+        np.sum((problem.split(n)[0].positions(problem.poses) - middle) ** 2, axis=1)
+        for n in (numbers, together)
+    ]
+    mixed = numbers.copy()
+    mixed[LAMP] = together[LAMP]
+    mixed[INTENSITY] += np.mean(np.log(squares[0] / squares[1]))
+    return mixed
 
 
 def _check(
@@ -238,24 +264,50 @@ def _lamp_step(
     return replace(arm, exponent=exponent, intensity=np.exp(level)).as_array() - numbers
 
 
-def _result(
-    problem: ArmProblem,
-    numbers: NDArray[np.float64],
-    *,
-    misses: NDArray[np.float64],
-    excess: float,
-) -> LightArm:
-    from scipy.stats import chi2
+def _covariance(
+    problem: ArmProblem, placing: ArmProblem, numbers: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Covariance of all numbers, where ``placing`` tells how well all but the lamp's are known.
 
-    arm, _ = problem.split(numbers)
-    # Numbers count from the start's pose; the covariance is to count from the arm's own.
-    problem = problem.around(arm)
-    numbers = np.concatenate([arm.as_array(), numbers[len(arm.as_array()) :]])
+    The lamp's numbers are those that suit the target best with the arm where it is, and so move
+    with it.
+    """
+    of_place = _inverse(placing.jacobian(numbers))
+    if placing is problem:
+        return of_place
     jacobian = problem.jacobian(numbers)
+    is_lamp = np.zeros(len(numbers), np.bool_)
+    is_lamp[LAMP] = True
+    of_lamp = _inverse(jacobian[:, is_lamp])
+    follows = np.eye(len(numbers))[:, ~is_lamp]
+    follows[is_lamp] = -of_lamp @ jacobian[:, is_lamp].T @ jacobian[:, ~is_lamp]
+    covariance = follows @ of_place[np.ix_(~is_lamp, ~is_lamp)] @ follows.T
+    covariance[np.ix_(is_lamp, is_lamp)] += of_lamp
+    return np.asarray(covariance)
+
+
+def _inverse(jacobian: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Covariance of numbers by the derivatives of residuals of unit variance."""
     scale = np.linalg.norm(jacobian, axis=0)
     scale[scale == 0] = 1.0
     normal = (jacobian / scale).T @ (jacobian / scale)
-    covariance = np.linalg.pinv(normal, rcond=1e-13, hermitian=True) / np.outer(scale, scale)
+    inverse = np.linalg.pinv(normal, rcond=1e-13, hermitian=True)
+    return np.asarray(inverse / np.outer(scale, scale))
+
+
+def _result(
+    problem: ArmProblem, placing: ArmProblem, numbers: NDArray[np.float64], *, excess: float
+) -> LightArm:
+    from scipy.stats import chi2
+
+    misses = placing.misses(numbers, rejected=True)
+    arm, _ = problem.split(numbers)
+    # Numbers count from the start's pose; the covariance is to count from the arm's own.
+    same = placing is problem
+    problem = problem.around(arm)
+    placing = problem if same else placing.around(arm)
+    numbers = np.concatenate([arm.as_array(), numbers[len(arm.as_array()) :]])
+    covariance = _covariance(problem, placing, numbers)
     kept = problem.misses(numbers)
     total, freedom = float(np.nansum(kept**2)), int(np.isfinite(kept).sum()) - 10
     inflation = 1.0
@@ -275,6 +327,8 @@ def _result(
         inflation,
         excess,
         problem.target_gains(arm) if problem.shading.gains_unknown else None,
+        problem.shading_misfit(arm),
+        problem.sphere_shift_sigmas(numbers),
     )
     middle = problem.shading.points.mean(axis=0)
     worst = max(fitted.direction_sigma_deg(pose, middle) for pose in problem.poses)

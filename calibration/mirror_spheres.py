@@ -133,7 +133,7 @@ def sphere_from_outline(
         size = np.linalg.norm(w)
         return np.asarray(w / size * radius_mm / np.sqrt(1 - 1 / size**2))
 
-    variance = float(np.sum(off[use] ** 2)) / (int(use.sum()) - 3)
+    variance = float(np.sum(off[use] ** 2)) / (int(use.sum()) - 3) * _correlation(off[use])
     of_w = variance * np.linalg.inv(rays[use].T @ rays[use])
     step = 1e-7 * length
     jacobian = np.stack(
@@ -143,6 +143,24 @@ def sphere_from_outline(
     sine = np.sqrt(1 - 1 / length**2)
     outline = float(np.sqrt(np.mean(off[use] ** 2))) / (sine * length) * float(lens.focal_px.mean())
     return MirrorSphere(centre_of(w), radius_mm, jacobian @ of_w @ jacobian.T, outline)
+
+
+def _correlation(off: NDArray[np.float64]) -> float:
+    """By which the variance of a mean of residuals (n,) about a circle exceeds that of noise.
+
+    Pixels of the edge serve several lines, and their steps repeat: neighbours err alike. The sum of
+    the correlations is taken to where it is lost in noise (Geyer 1992, initial positive sequence).
+    """
+    power = np.abs(np.fft.rfft(off - off.mean())) ** 2
+    correlation = np.fft.irfft(power, len(off))
+    correlation = correlation / max(float(correlation[0]), 1e-300)
+    total, half = 1.0, len(off) // 2
+    for lag in range(1, half - 1, 2):
+        pair = float(correlation[lag] + correlation[lag + 1])
+        if pair <= 0:
+            break
+        total += 2 * pair
+    return total
 
 
 def find_outline(
@@ -241,7 +259,7 @@ def find_highlight(
     size = float(sizes.max())
     if np.hypot(*(pixel - [column, row])) > 0.93 * radius:
         raise CalibrationError("the highlight is at the edge of the sphere, where it is distorted")
-    fitted = _fit_spot(np.where(disc, image, np.nan), pixel, size, saturation, floor, noise)
+    fitted = _fit_spot(np.where(disc, image, np.nan), pixel, size, saturation, floor, noise, inside)
     if fitted is not None:
         return fitted
     return pixel, float(max(_LEAST_SIGMA_PX, _SPOT_SIGMA / np.sqrt(size)))
@@ -254,10 +272,14 @@ def _fit_spot(
     saturation: float,
     floor: float,
     noise: float,
+    inside: tuple[float, float, float],
 ) -> tuple[NDArray[np.float64], float] | None:
     """Middle of a small spot by an elliptic Moffat profile, and its error; None if it is none.
 
-    The profile, (1 + r²)^-β, is that of stars and of rough mirrors (A. F. J. Moffat, 1969).
+    The profile, (1 + r²)^-β, is that of stars and of rough mirrors (A. F. J. Moffat, 1969), with r
+    in the directions of the sphere's normals: a rough mirror's lobe and the picture of a lamp are
+    alike to all sides there, and in pixels they are pressed together towards the sphere's edge,
+    which pulls their middle inwards.
     """
     from scipy.optimize import least_squares
 
@@ -269,7 +291,11 @@ def _fit_spot(
     known &= np.hypot(cols - pixel[0], rows - pixel[1]) <= reach
     if known.sum() < _LEAST_SAMPLES:
         return None
-    x, y, seen = cols[known] - pixel[0], rows[known] - pixel[1], image[known] - floor
+    at = np.stack([cols[known], rows[known]], axis=1)
+    tangent = _TangentPlane.at(pixel, inside)
+    (x, y), facing = tangent.coordinates(at), tangent.facing(at)
+    # What a rough mirror sends is its lobe's density over the cosine of the viewing angle.
+    seen = (image[known] - floor) * facing
     top = float(seen.max())
     error = np.hypot(max(noise, 1e-3 * top), _PROFILE_ERROR * np.maximum(seen, 0))
     width = np.sqrt(size / np.pi) / 1.3
@@ -294,7 +320,59 @@ def _fit_spot(
     sigma = float(np.sqrt(0.5 * np.trace(covariance)))
     if not (found.success and sigma < _SPOT_SIGMA / np.sqrt(size)):
         return None
-    return pixel + found.x[:2], max(_LEAST_SIGMA_PX, sigma)
+    return tangent.pixel(found.x[:2]), max(_LEAST_SIGMA_PX, sigma)
+
+
+@dataclass(frozen=True)
+class _TangentPlane:
+    """Normals about one of a sphere's, in pixels across the sphere's middle.
+
+    Attributes
+    ----------
+    middle : (2,) float64 array
+        Of the sphere, pixels.
+    radius : float
+        Pixels.
+    axes : (3, 3) float64 array
+        Rows: towards the sphere's edge, along it, and the normal; z is towards the camera.
+    """
+
+    middle: NDArray[np.float64]
+    radius: float
+    axes: NDArray[np.float64]
+
+    @classmethod
+    def at(cls, pixel: NDArray[np.float64], circle: tuple[float, float, float]) -> _TangentPlane:
+        middle, radius = np.array(circle[:2]), circle[2]
+        normal = _normals((pixel - middle) / radius)
+        out = normal[:2] / max(float(np.linalg.norm(normal[:2])), 1e-9)
+        if not out.any():
+            out = np.array([1.0, 0.0])
+        along = np.array([-out[1], out[0], 0.0])
+        return cls(middle, radius, np.stack([np.cross(along, normal), along, normal]))
+
+    def coordinates(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(2, n) coordinates of pixels (n, 2), 0 in the plane's middle."""
+        turned = _normals((pixels - self.middle) / self.radius) @ self.axes.T
+        return np.asarray(self.radius * (turned[:, :2] / turned[:, 2:]).T)
+
+    def facing(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Cosines (n,) of normals against the camera, over that of the middle."""
+        return np.asarray(_normals((pixels - self.middle) / self.radius)[:, 2] / self.axes[2, 2])
+
+    def pixel(self, coordinates: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Pixel (2,) of coordinates (2,)."""
+        normal = np.r_[coordinates / self.radius, 1.0] @ self.axes
+        return np.asarray(self.middle + self.radius * normal[:2] / np.linalg.norm(normal))
+
+
+def _normals(offset: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Normals (..., 3) of a sphere, seen from afar, at offsets (..., 2) in radii; inside of it."""
+    offset = np.asarray(offset, np.float64)
+    length = np.linalg.norm(offset, axis=-1, keepdims=True)
+    offset = offset * np.minimum(1.0, 0.999 / np.maximum(length, 1e-9))
+    up = np.sqrt(1 - np.sum(offset**2, axis=-1, keepdims=True))
+    return np.concatenate([offset, up], axis=-1)
 
 
 def highlight_direction_sigma(

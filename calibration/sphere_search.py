@@ -81,9 +81,12 @@ def find_spheres(
     Raises
     ------
     CalibrationError
-        A sphere is not where it was said to be, or fewer than two are found.
+        A sphere is not where it was said to be, or was said to be where no picture is; or fewer
+        than two are found.
     """
     picture = photographs.even_light()
+    for circle in near:
+        _check_inside(circle, picture.shape)
     clearest: list[tuple[float, FoundSphere]] = []
     for circle in near or _discs(picture):
         try:
@@ -155,6 +158,18 @@ def sphere_highlights(
         )
         for n in kept
     ]
+
+
+def _check_inside(circle: Circle, shape: tuple[int, ...]) -> None:
+    column, row, radius = circle
+    rows, cols = shape[:2]
+    largest = 0.5 * min(rows, cols)
+    if not (0 <= column < cols and 0 <= row < rows and 0 < radius <= largest):
+        raise CalibrationError(
+            f"no sphere of {radius:g} pixels can be at column {column:g}, row {row:g}: pictures "
+            f"have {cols} columns and {rows} rows; name its middle and its radius, {largest:g} at "
+            "most, in pixels"
+        )
 
 
 def _discs(picture: NDArray[np.float32]) -> list[Circle]:

@@ -104,7 +104,7 @@ def measure_poses(
     Raises
     ------
     CalibrationError
-        Sessions of different rigs, or the board found in too few.
+        Sessions of different rigs, the same recording twice, or the board found in too few.
     SessionError
         A session is damaged.
     """
@@ -112,9 +112,10 @@ def measure_poses(
     unread: list[UnreadPose] = []
     digests: dict[str, str] = {}
     first: Session | None = None
-    for name, path in _names(sessions).items():
+    opened = {name: Session.open(path) for name, path in _names(sessions).items()}
+    _check_different(opened)
+    for name, session in opened.items():
         begin(name)
-        session = Session.open(path)
         first = first or session
         _check_same_rig(first, session)
         try:
@@ -173,10 +174,25 @@ def _names(sessions: Sequence[Path]) -> dict[str, Path]:
 def _check_same_rig(first: Session, other: Session) -> None:
     for name in ("camera", "projector"):
         here, there = getattr(first.plan, name), getattr(other.plan, name)
-        if here != there:
+        # Sessions of earlier versions do not say what mosaic the camera has.
+        if (here.width, here.height) != (there.width, there.height):
             raise CalibrationError(
                 f"{other.path}: its {name} has {there.width}×{there.height} pixels, that of "
                 f"{first.path} {here.width}×{here.height}; poses of one rig are calibrated together"
+            )
+
+
+def _check_different(sessions: dict[str, Session]) -> None:
+    """One pose under several names would count as several, and predict errors too small."""
+    seen: dict[tuple[str, ...], str] = {}
+    for name, session in sessions.items():
+        # Of the frames: an import of them again has a journal of its own.
+        frames = tuple(sorted(entry.sha256 for entry in session.recorded.values()))
+        other = seen.setdefault(frames, name)
+        if other != name:
+            raise CalibrationError(
+                f"{other} and {name} are the same recording; name each pose once: the copies would "
+                "count as measurements of their own"
             )
 
 

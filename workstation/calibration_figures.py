@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from calibration.gates import Verdict, covered_cells, normal_spread_deg
+from calibration.gates import covered_cells, normal_spread_deg
 from calibration.lens import Lens, rotation
 from calibration.mrcal_solve import parameter_covariance
 from calibration.procam import LENS_NAMES
@@ -32,8 +32,7 @@ def calibration_figures(done: CalibratedRig) -> dict[str, Any]:
     baseline = float(np.linalg.norm(calibration.rig.rt_proj_cam[3:]))
     return {
         "software": f"impasto {version('impasto')}",
-        "passed": done.gates.passed,
-        "gates": [_verdict(verdict) for verdict in done.gates.verdicts],
+        **done.gates.figures(),
         "model": calibration.rig.camera.model,
         "models": _models(done),
         "board": {
@@ -62,6 +61,7 @@ def calibration_figures(done: CalibratedRig) -> dict[str, Any]:
         "repeatability": _repeatability(done),
         "poses": _poses(done),
         "tilt_spread_deg": normal_spread_deg(calibration).tolist(),
+        "unreconstructed": [{"name": pose.name, "why": pose.why} for pose in done.unreconstructed],
         "unread": [{"name": pose.name, "why": pose.why} for pose in poses.unread],
         "rejected_poses": [
             {"name": view.name, "rms_px": view.rms_px, "why": view.why}
@@ -86,18 +86,6 @@ def tilts_deg(done: CalibratedRig) -> np.ndarray:
     normals = np.array([rotation(rt)[:, 2] for rt in done.calibration.solution.rt_ref_board])
     normals *= np.where(normals[:, 2:] < 0, -1.0, 1.0)
     return np.degrees(np.arctan2(normals[:, :2], normals[:, 2:]))
-
-
-def _verdict(verdict: Verdict) -> dict[str, Any]:
-    return {
-        "gate": str(verdict.gate),
-        "subject": verdict.subject,
-        "value": verdict.value,
-        "bound": verdict.bound,
-        "passed": verdict.passed,
-        "refuses": verdict.refuses,
-        "remedy": verdict.remedy,
-    }
 
 
 def _models(done: CalibratedRig) -> list[dict[str, Any]]:
@@ -157,6 +145,7 @@ def _plane(plane: HeldoutPlane) -> dict[str, Any]:
         "smoothed_rms_mm": float(np.sqrt(np.nanmean(relief.height_mm**2))),
         "noise_mm": relief.noise_mm,
         "predicted_noise_mm": relief.predicted_noise_mm,
+        "off_share": relief.off_share,
         "scale_error": relief.scale_error,
     }
 
@@ -167,6 +156,7 @@ def _repeatability(done: CalibratedRig) -> dict[str, Any] | None:
         return None
     return {
         "rms_mm": found.rms_mm.tolist(),
+        "predicted_mm": done.predicted_repeatability_mm.tolist(),
         "detrended_rms_mm": found.detrended_rms_mm.tolist(),
     }
 

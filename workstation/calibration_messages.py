@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.gates import Gate
+from calibration.verdicts import GateReport
 from workstation.light_calibration import CalibratedLights
 from workstation.rig_calibration import CalibratedRig
 
@@ -32,10 +34,30 @@ def messages_on_rig(done: CalibratedRig) -> Messages:
             f"heights by this calibration are uncertain by {1000 * done.heights.rms_mm:.1f} µm "
             f"about their plane, lengths by {100 * done.heights.scale_sigma:.3f} %"
         )
+    if done.poses.unread:
+        total = len(done.poses.unread) + len(done.poses.views)
+        said.append(f"in {len(done.poses.unread)} of {total} sessions no board was measured")
+    said += _on_gates(done.gates)
     warnings = [f"{pose.name} was left out: {pose.why}" for pose in done.poses.unread]
     warnings += [f"left out {corner}" for corner in calibration.rejected_corners]
-    warnings += [f"{v.gate}: {v.remedy}" for v in done.gates.failures if not v.refuses]
+    warnings += [
+        f"{pose.name} was held out, but not reconstructed: {pose.why}"
+        for pose in done.unreconstructed
+    ]
+    # What the views' gate would say stands above, view by view.
+    warnings += [
+        f"{v.gate}: {v.remedy}"
+        for v in done.gates.failures
+        if not (v.refuses or v.gate == Gate.VIEWS)
+    ]
+    warnings += [f"{v.name} was left out: {v.why}" for v in calibration.rejected_views]
     return Messages(tuple(said), tuple(warnings))
+
+
+def _on_gates(gates: GateReport) -> list[str]:
+    if not gates.not_tested:
+        return []
+    return [f"not tested: {'; '.join(map(str, gates.not_tested))}"]
 
 
 def messages_on_lights(lights: CalibratedLights) -> Messages:
@@ -47,21 +69,11 @@ def messages_on_lights(lights: CalibratedLights) -> Messages:
         f"{np.sqrt(np.mean(residuals**2)):.2f}° RMS, directions known to {np.median(sigma):.3f}° "
         f"({sigma.max():.3f}° at worst)"
     )
-    warnings = []
-    for number in arm.suspect:
-        azimuth, elevation = np.degrees([arm.poses[number].azimuth, arm.poses[number].elevation])
-        warnings.append(
-            f"the highlights at azimuth {azimuth:.1f}°, elevation {elevation:.1f}° are off by more "
-            "than noise explains"
-        )
-    if arm.inflation > 1:
-        warnings.append(
-            "highlights are off by more than noise explains at all poses: the arm sags in another "
-            "way than the model's, has play, or a sphere was loose"
-        )
+    warnings = [f"{v.gate}: {v.remedy}" for v in lights.gates.failures if not v.refuses]
     if arm.shading_excess > 1:
         warnings.append(
-            "the white target is no matt one, or the lamp falls off by another law than a power of "
-            "the cosine; where the lamp is was told by the highlights"
+            f"the white target's radiance is off by {arm.shading_misfit:.1%} from a matt one's "
+            "under a lamp that falls off by a power of the cosine, which is more than noise; where "
+            "the lamp is was told by the highlights alone"
         )
-    return Messages((said,), tuple(warnings))
+    return Messages((said, *_on_gates(lights.gates)), tuple(warnings))

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from acquisition.atomic_files import write_bytes
 from calibration.procam import LENS_NAMES
+from calibration.verdicts import GateReport
 from workstation.calibration_figures import calibration_figures
 from workstation.calibration_messages import messages_on_lights
 from workstation.calibration_plots import (
@@ -46,6 +47,7 @@ def write_report(
     *,
     sections: ReportSections | None = None,
     figures: dict[str, Any] | None = None,
+    light_gates: GateReport | None = None,
 ) -> None:
     """Write the page and its figures into a folder, which is made.
 
@@ -57,6 +59,8 @@ def write_report(
         Light positions, response curves, colours and flat field, if they were measured.
     figures : dict, optional
         Those of :func:`~workstation.calibration_figures.calibration_figures`, and others.
+    light_gates : GateReport, optional
+        Of the light arm, whose figures are among those given as ``light_arm``.
     """
     sections = sections or ReportSections()
     figures = figures or calibration_figures(done)
@@ -64,6 +68,8 @@ def write_report(
     environment.filters["srgb"] = srgb_code
     page = environment.get_template("calibration.html").render(
         figures=figures,
+        verdict=_verdict(done.gates),
+        light_verdict=None if light_gates is None else _verdict(light_gates),
         summary=_summary(figures),
         parameters=_parameters(figures),
         pictures=_pictures(done),
@@ -96,11 +102,12 @@ def write_light_report(lights: CalibratedLights, sections: ReportSections, folde
     pictures = [_light_picture(sections), _flat_field_picture(sections)]
     responses = tuple(Picture(c.name, response_picture(c)) for c in sections.responses)
     shown = [
+        Section("Gates", tables=(_gate_table(lights.gates),)),
         Section(
             "Light arm",
             tables=(_light_table(sections),),
             pictures=tuple(picture for picture in pictures if picture is not None),
-        )
+        ),
     ]
     if responses:
         shown.append(Section("Response", pictures=responses))
@@ -108,13 +115,32 @@ def write_light_report(lights: CalibratedLights, sections: ReportSections, folde
         folder / PAGE_FILE,
         title="Calibration of the light arm",
         summary=(
-            f"{len(figures['spheres'])} mirror spheres under {figures['poses']} poses of the lamp. "
+            f"{lights.gates.sentence()} {len(figures['spheres'])} mirror spheres under "
+            f"{figures['poses']} poses of the lamp. "
             f"Directions to it are known to {figures['direction_sigma_deg_median']:.3f}° at the "
             f"white target, {figures['direction_sigma_deg_largest']:.3f}° at worst; highlights are "
             f"off by {figures['residual_deg_rms']:.2f}° RMS."
         ),
         sections=tuple(shown),
         warnings=messages_on_lights(lights).warnings,
+    )
+
+
+def _gate_table(gates: GateReport) -> Table:
+    rows = [
+        (
+            str(verdict.gate) if first else "",
+            one.name,
+            f"{one.value:.4g}",
+            f"{one.sense} {one.bound:.4g}",
+            "holds" if one.passed else ("refused" if one.refuses else "warning"),
+            verdict.remedy if first else "",
+        )
+        for verdict in gates.verdicts
+        for first, one in ((n == 0, c) for n, c in enumerate(verdict.criteria))
+    ]
+    return Table(
+        tuple(rows), heading=("gate", "criterion", "found", "bound", "outcome", "what to do")
     )
 
 
@@ -134,6 +160,11 @@ def _light_table(sections: ReportSections) -> Table:
         ),
         heading=("azimuth, elevation", "X, Y, Z, mm", "residual", "standard error"),
     )
+
+
+def _verdict(gates: GateReport) -> dict[str, str]:
+    colour = "flag" if gates.failures or gates.not_tested else "good"
+    return {"colour": colour if gates.passed else "bad", "sentence": gates.sentence()}
 
 
 def _summary(figures: dict[str, Any]) -> list[str]:
@@ -157,11 +188,20 @@ def _summary(figures: dict[str, Any]) -> list[str]:
             "The side of the board's squares was taken as exact: an error of it is an error of all "
             "lengths in proportion. Give its standard error with --square-sigma."
         )
-    for plane in figures["heldout_planes"][:1]:
+    planes = figures["heldout_planes"]
+    if planes:
+        plane = max(planes, key=lambda one: one["smoothed_rms_mm"])
+        sizes = max((one["scale_error"] for one in planes), key=abs)
         said.append(
-            f"The board of pose {plane['pose']}, reconstructed by a calibration that has not seen "
-            f"it, is flat to {1000 * plane['smoothed_rms_mm']:.0f} µm over 1.5 mm; its size is "
-            f"{100 * plane['scale_error']:+.3f} % off."
+            f"Of {len(planes)} boards, each reconstructed by a calibration that has not seen it, "
+            f"the worst, {plane['pose']}, is flat to {1000 * plane['smoothed_rms_mm']:.0f} µm over "
+            f"1.5 mm; sizes are up to {100 * sizes:+.3f} % off."
+        )
+    unread = [pose["name"] for pose in figures["unread"]]
+    if unread:
+        said.append(
+            f"In {len(unread)} of {len(unread) + len(figures['sessions'])} sessions no board was "
+            f"measured: {', '.join(unread)}."
         )
     return said
 

@@ -80,6 +80,8 @@ class DemoTruth:
     baseline_error_mm, baseline_sigma_mm : float
     lamp_direction_deg : float
         Median angle between lamps and true lamps, from the canvas's middle.
+    lamp_direction_predicted_deg : float or None
+        What the light arm's calibration predicts for it; None where the lamps were declared.
     camera_mm : dict of str to float
         By how far each place of the camera was missed.
     """
@@ -90,6 +92,7 @@ class DemoTruth:
     baseline_error_mm: float
     baseline_sigma_mm: float
     lamp_direction_deg: float
+    lamp_direction_predicted_deg: float | None
     camera_mm: dict[str, float]
 
     @property
@@ -117,8 +120,16 @@ class DemoTruth:
             "baseline_error_mm": self.baseline_error_mm,
             "baseline_sigma_mm": self.baseline_sigma_mm,
             "lamp_direction_deg": self.lamp_direction_deg,
+            "lamp_direction_predicted_deg": self.lamp_direction_predicted_deg,
             "camera_mm": self.camera_mm,
         }
+
+    def _row_of_lamps(self) -> tuple[str, ...]:
+        name, observed = "direction of the lamp, median", f"{self.lamp_direction_deg:.3f}°"
+        predicted = self.lamp_direction_predicted_deg
+        if predicted is None:
+            return name, "", observed
+        return name, f"{predicted:.3f}°", observed, _over(self.lamp_direction_deg, predicted)
 
     def section(self, copy: DigitalCopy) -> Section:
         """The part of the demo's report."""
@@ -139,7 +150,7 @@ class DemoTruth:
                 f"{um * self.baseline_error_mm:.0f} µm",
                 _over(abs(self.baseline_error_mm), self.baseline_sigma_mm),
             ),
-            ("direction of the lamp, median", "", f"{self.lamp_direction_deg:.2f}°"),
+            self._row_of_lamps(),
             *(
                 (f"place of the camera, {name}", "", f"{off:.2f} mm")
                 for name, off in self.camera_mm.items()
@@ -161,8 +172,14 @@ class DemoTruth:
         )
 
 
-def measure_truth(done: Processed, rig: SimulatedRig, lamps: LampTable) -> DemoTruth:
-    """Hold a processed demo against its rig."""
+def measure_truth(
+    done: Processed,
+    rig: SimulatedRig,
+    lamps: LampTable,
+    *,
+    lamp_direction_predicted_deg: float | None = None,
+) -> DemoTruth:
+    """Hold a processed demo against its rig; the last is the error of directions predicted."""
     copy = done.copy
     pose = align_to_truth(copy, rig)
     heights = measure_height_error(copy, rig, rt_true_canvas=pose)
@@ -182,6 +199,7 @@ def measure_truth(done: Processed, rig: SimulatedRig, lamps: LampTable) -> DemoT
         baseline - true_baseline,
         _baseline_sigma(done),
         _lamp_direction(rig, lamps, to_truth),
+        lamp_direction_predicted_deg,
         _camera_places(done, rig, to_truth),
     )
 

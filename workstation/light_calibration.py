@@ -16,12 +16,14 @@ from acquisition.session import Session
 from calibration.arm_fit import SphereHighlights, TargetShading
 from calibration.arm_geometry import initial_arm
 from calibration.arm_photographs import ArmPhotographs
-from calibration.errors import CalibrationError
+from calibration.errors import CalibrationError, CalibrationRefusedError
 from calibration.flat_field import FlatField, vignetting_of
 from calibration.light_arm import LightArm, fit_light_arm
+from calibration.light_gates import check_distance, check_lights
 from calibration.rig_geometry import RigGeometry
 from calibration.sphere_search import Circle, FoundSphere, find_spheres, sphere_highlights
 from calibration.triangulation import reconstruct_points
+from calibration.verdicts import GateReport
 from calibration.white_target import WhiteTarget, find_white_target, target_shading
 from devices.bayer import BayerPattern
 from devices.interfaces import ArmPose
@@ -45,7 +47,8 @@ class LightOptions:
     albedo : float
         Of the white target; 1 makes it the white that all radiance is relative to.
     mosaic : BayerPattern or None
-        Order of the sensor's colours; None if monochrome.
+        Order of the sensor's colours; by default what the sessions say, and monochrome where they
+        do not.
     place : str or None
         Of the camera: that of the rig's calibration; by default the first of each session.
     """
@@ -109,6 +112,26 @@ class CalibratedLights:
         middle = self.target_middle
         return np.array([self.arm.direction_sigma_deg(pose, middle) for pose in self.arm.poses])
 
+    def direction_error_deg(self) -> float:
+        """Median angle by which directions from the target's middle are predicted to err.
+
+        Of two coordinates across a direction, each normal, the length is Rayleigh's, whose median
+        is √(2 ln 2) standard errors.
+        """
+        middle = self.target_middle
+        traces = [np.trace(self.arm.direction_covariance(p, middle)) for p in self.arm.poses]
+        return float(np.degrees(np.sqrt(np.log(2) * np.median(traces))))
+
+    @property
+    def gates(self) -> GateReport:
+        """What it must show before anything is lit by it."""
+        return check_lights(
+            self.arm,
+            [one.sphere for one in self.spheres],
+            target_middle=self.target_middle,
+            target_normal=self.target.normal,
+        )
+
     def section(self) -> LightSection:
         """For the report: positions about the target's middle, z along its normal."""
         arm = self.arm
@@ -132,6 +155,7 @@ class CalibratedLights:
         residuals = arm.residual_deg[np.isfinite(arm.residual_deg)]
         sigma = self.direction_sigma_deg()
         return {
+            **self.gates.figures(),
             "poses": len(arm.poses),
             "spheres": [
                 {
@@ -139,6 +163,9 @@ class CalibratedLights:
                     "row": one.circle[1],
                     "radius_px": one.circle[2],
                     "centre_mm": one.sphere.centre.tolist(),
+                    "before_target_mm": float(
+                        (one.sphere.centre - self.target_middle) @ self.target.normal
+                    ),
                     "outline_px": one.sphere.outline_px,
                 }
                 for one in self.spheres
@@ -148,12 +175,14 @@ class CalibratedLights:
             "residual_deg_rms": float(np.sqrt(np.mean(residuals**2))),
             "direction_sigma_deg_median": float(np.median(sigma)),
             "direction_sigma_deg_largest": float(sigma.max()),
+            "direction_error_deg_median": self.direction_error_deg(),
             "suspect": [
                 [float(np.degrees(a)) for a in (arm.poses[n].azimuth, arm.poses[n].elevation)]
                 for n in arm.suspect
             ],
             "inflation": arm.inflation,
             "shading_excess": arm.shading_excess,
+            "shading_misfit": arm.shading_misfit,
             "radius_mm": arm.parameters.radius_mm,
             "exponent": arm.parameters.exponent,
             "vignetting": self.flat_field.coefficients.tolist(),
@@ -188,6 +217,8 @@ def calibrate_lights(
     ------
     CalibrationError
         Spheres or target are not found, or do not determine the arm.
+    CalibrationRefusedError
+        They do not since the spheres are not beside the target: their radius is wrong.
     SessionError
         A session is damaged.
     """
@@ -213,7 +244,15 @@ def calibrate_lights(
     poses = balls.poses
     if not together:
         poses, highlights, shading = _joined(balls.poses, target_photos.poses, highlights, shading)
-    arm = fit_light_arm(poses, highlights, shading, rig.camera)
+    try:
+        arm = fit_light_arm(poses, highlights, shading, rig.camera)
+    except CalibrationError as error:
+        beside = check_distance(
+            [one.sphere for one in found], target.points.mean(axis=0), target.normal
+        )
+        if beside.passed:
+            raise
+        raise CalibrationRefusedError(f"{error}. {beside.gate}: {beside.remedy}") from error
     arm, flat_field = _without_vignetting(arm, target, rig)
     digests = {p.session.path.name: p.session.digest for p in (balls, target_photos)}
     return CalibratedLights(arm, tuple(found), target, flat_field, target_photos, digests)

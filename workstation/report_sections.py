@@ -128,11 +128,23 @@ class ReportSections:
             ]
         if self.responses:
             found["responses"] = [
-                {"name": c.name, "x": c.x.tolist(), "y": c.y.tolist()} for c in self.responses
+                {
+                    "name": c.name,
+                    "x": c.x.tolist(),
+                    "y": c.y.tolist(),
+                    "sigma_y": None if c.sigma_y is None else c.sigma_y.tolist(),
+                }
+                for c in self.responses
             ]
         if self.colours:
             found["colours"] = [
-                {"name": c.name, "before": c.delta_e_before, "after": c.delta_e_after}
+                {
+                    "name": c.name,
+                    "reference_srgb": c.reference_srgb.tolist(),
+                    "measured_srgb": c.measured_srgb.tolist(),
+                    "before": c.delta_e_before,
+                    "after": c.delta_e_after,
+                }
                 for c in self.colours
             ]
         if self.flat_field is not None:

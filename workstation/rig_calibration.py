@@ -24,7 +24,7 @@ from calibration.board_relief import (
 from calibration.cross_validation import CalibrationDifference, split_difference
 from calibration.drift import Drift, compare_with_earlier, working_volume
 from calibration.errors import CalibrationError
-from calibration.gates import GateReport, KnownDistance, check_calibration
+from calibration.gates import KnownDistance, check_calibration
 from calibration.lens import rotation
 from calibration.mrcal_solve import solve_without
 from calibration.procam import (
@@ -35,7 +35,8 @@ from calibration.procam import (
 )
 from calibration.rig_geometry import RigGeometry
 from calibration.uncertainty import UncertaintyMap, uncertainty_map
-from workstation.board_poses import LEAST_POSES, BoardPoses, measure_pose
+from calibration.verdicts import GateReport
+from workstation.board_poses import LEAST_POSES, BoardPoses, UnreadPose, measure_pose
 
 _POSES_TO_SPLIT = 6
 # Poses held out, each by itself; a board takes part that is seen whole.
@@ -106,6 +107,8 @@ class CalibratedRig:
         Of calibrations from every other view, camera and projector; empty with few views.
     planes : tuple of HeldoutPlane
         Of the poses that face the camera most, each held out by itself.
+    unreconstructed : tuple of UnreadPose
+        Poses that were held out and whose boards could not be reconstructed.
     earlier : tuple of EarlierRig
     seconds : dict of str to float
     """
@@ -117,15 +120,19 @@ class CalibratedRig:
     heights: HeightUncertainty | None
     differences: tuple[CalibrationDifference, ...]
     planes: tuple[HeldoutPlane, ...]
+    unreconstructed: tuple[UnreadPose, ...]
     earlier: tuple[EarlierRig, ...]
     seconds: dict[str, float] = field(default_factory=dict)
 
     @property
     def repeatability(self) -> Repeatability | None:
         """How the boards that were held out agree; None with one of them."""
-        if len(self.planes) < 2:
-            return None
-        return compare_reliefs([plane.relief for plane in self.planes])
+        return _repeatability(self.planes)
+
+    @property
+    def predicted_repeatability_mm(self) -> NDArray[np.float64]:
+        """What noise and calibration predict (planes,) for it."""
+        return _predicted_repeatability(self.planes, self.heights)
 
 
 def calibrate_rig(
@@ -176,7 +183,7 @@ def calibrate_rig(
     done()
     done = timed("cross-validating")
     differences = _differences(calibration, poses)
-    planes = _heldout_planes(calibration, poses, held_out)
+    planes, unreconstructed = _heldout_planes(calibration, poses, held_out)
     done()
     done = timed("propagating the uncertainty")
     distance = calibration.working_distance_mm
@@ -191,11 +198,22 @@ def calibrate_rig(
         calibration,
         differences=differences,
         distances=distances(calibration.rig),
-        plane_over_noise=_roughness(planes),
+        planes={one.pose: one.relief.plane_over_noise for one in planes},
+        repeatability=_repeatability_ratios(planes, heights),
         drift=drifts[0].drift if drifts else None,
+        unread={pose.name: pose.why for pose in poses.unread},
     )
     return CalibratedRig(
-        calibration, poses, gates, maps, heights, differences, planes, drifts, seconds
+        calibration,
+        poses,
+        gates,
+        maps,
+        heights,
+        differences,
+        planes,
+        unreconstructed,
+        drifts,
+        seconds,
     )
 
 
@@ -215,13 +233,14 @@ def _differences(
 
 def _heldout_planes(
     calibration: ProcamCalibration, poses: BoardPoses, count: int
-) -> tuple[HeldoutPlane, ...]:
+) -> tuple[tuple[HeldoutPlane, ...], tuple[UnreadPose, ...]]:
     """Boards of the poses that face the camera most, each by a calibration without it."""
     views = list(calibration.views)
     if len(views) <= LEAST_POSES or not poses.sessions:
-        return ()
+        return (), ()
     facing = np.argsort([-abs(rotation(rt)[2, 2]) for rt in calibration.solution.rt_ref_board])
     found: list[HeldoutPlane] = []
+    failed: list[UnreadPose] = []
     for number in facing[:_TRIES]:
         if len(found) == count:
             break
@@ -242,15 +261,37 @@ def _heldout_planes(
                 rig,
                 start_mm=calibration.working_distance_mm,
             )
-        except CalibrationError:
+        except CalibrationError as error:
+            failed.append(UnreadPose(view.name, str(error).removeprefix(f"{view.name}: ")))
             continue
         found.append(HeldoutPlane(view.name, relief))
-    return tuple(found)
+    return tuple(found), tuple(failed)
 
 
-def _roughness(planes: tuple[HeldoutPlane, ...]) -> float | None:
-    """Of the board that is best seen."""
-    return planes[0].relief.plane_rms_mm / planes[0].relief.predicted_noise_mm if planes else None
+def _repeatability(planes: tuple[HeldoutPlane, ...]) -> Repeatability | None:
+    if len(planes) < 2:
+        return None
+    return compare_reliefs([plane.relief for plane in planes])
+
+
+def _predicted_repeatability(
+    planes: tuple[HeldoutPlane, ...], heights: HeightUncertainty | None
+) -> NDArray[np.float64]:
+    """Of each relief against the mean of the others; errors of calibrations count in each anew."""
+    noise = np.array([plane.relief.smoothed_noise_mm for plane in planes])
+    variance = noise**2 + (0.0 if heights is None else heights.rms_mm**2)
+    others = max(len(planes) - 1, 1)
+    return np.asarray(np.sqrt(variance + (variance.sum() - variance) / others**2))
+
+
+def _repeatability_ratios(
+    planes: tuple[HeldoutPlane, ...], heights: HeightUncertainty | None
+) -> dict[str, float]:
+    found = _repeatability(planes)
+    if found is None:
+        return {}
+    ratios = found.rms_mm / _predicted_repeatability(planes, heights)
+    return {plane.pose: float(ratio) for plane, ratio in zip(planes, ratios, strict=True)}
 
 
 def _height_uncertainty(calibration: ProcamCalibration) -> HeightUncertainty | None:

@@ -42,12 +42,70 @@ def baseline(good):
 
 def test_a_good_set_passes_every_gate(good, baseline):
     report = check_calibration(
-        good, distances=[KnownDistance(baseline, TRUE_BASELINE_MM, 0.2)], plane_over_noise=1.05
+        good,
+        distances=[KnownDistance(baseline, TRUE_BASELINE_MM, 0.2)],
+        planes={"pose 1": 1.05, "pose 2": 0.9},
+        repeatability={"pose 1": 1.1, "pose 2": 1.1},
     )
     assert report.passed
     assert report.failures == ()
-    assert {v.gate for v in report.verdicts} == set(Gate) - {Gate.DIFFERENCE, Gate.DRIFT}
+    untested = {Gate.DIFFERENCE, Gate.DRIFT}
+    assert {v.gate for v in report.verdicts} == set(Gate) - untested
+    assert {one.gate for one in report.not_tested} == untested
     report.refuse()
+
+
+def test_what_was_not_tested_is_named_with_what_it_takes(good):
+    report = check_calibration(replace(good, models=None))
+    assert report.passed
+    assert {one.gate: one.why.split()[-2:] for one in report.not_tested} == {
+        Gate.HELDOUT: ["four", "poses"],
+        Gate.DIFFERENCE: ["six", "poses"],
+        Gate.SCALE: ["by", "hand"],
+        Gate.PLANE: ["decoded", "whole"],
+        Gate.REPEATABILITY: ["held", "out"],
+        Gate.DRIFT: ["was", "named"],
+    }
+    assert "every gate" not in report.sentence()
+    assert "Not tested: held-out pose (takes four poses); " in report.sentence()
+
+
+def test_a_length_that_is_hardly_known_tests_nothing(good, baseline):
+    known = KnownDistance(baseline, 300.0, 1e9)
+    report = check_calibration(good, distances=[known])
+    assert Gate.SCALE not in {v.gate for v in report.verdicts}
+    (why,) = (one.why for one in report.not_tested if one.gate == Gate.SCALE)
+    assert why.startswith("300 ± 1e+09 mm tell nothing of the squares: measure to 1% or better")
+
+
+def test_figures_hold_all_that_a_gate_is_judged_by(good):
+    parallel = calibrated(simulate_boards(8, seed=1, tilt=0.0).views)
+    unread = {"pose 10": "no board"}
+    for calibration in (good, parallel):
+        found = check_calibration(
+            calibration, repeatability={"pose 1": 4.0}, unread=unread
+        ).figures()
+        for gate in found["gates"]:
+            held = {
+                one["name"]: one["value"] >= one["bound"]
+                if one["sense"] == "at least"
+                else one["value"] <= one["bound"]
+                for one in gate["criteria"]
+            }
+            assert gate["passed"] == all(held.values())
+            refused = any(one["refuses"] and not held[one["name"]] for one in gate["criteria"])
+            assert gate["outcome"] == (
+                "refused" if refused else "holds" if gate["passed"] else "warning"
+            )
+        assert found["passed"] == all(gate["outcome"] != "refused" for gate in found["gates"])
+        outcomes = {gate["gate"]: gate["outcome"] for gate in found["gates"]}
+        assert outcomes["repeatability"] == outcomes["views"] == "warning"
+
+
+def test_poses_without_a_board_are_counted_and_named(good):
+    report = check_calibration(good, unread={"pose 10": "no board is seen"})
+    assert verdict(report, Gate.VIEWS).remedy == "pose 10 was left out: no board is seen"
+    assert report.passed
 
 
 def test_parallel_boards_are_refused_and_the_missing_tilts_named():
@@ -115,7 +173,17 @@ def test_a_warped_board_is_flagged_and_its_bow_found():
     assert report.passed
 
 
-def test_a_plane_rougher_than_its_noise_is_refused(good):
-    report = check_calibration(good, plane_over_noise=3.0)
-    assert "3.0 times rougher than its noise" in verdict(report, Gate.PLANE).remedy
+def test_the_worst_plane_is_refused_if_rougher_than_its_noise(good):
+    report = check_calibration(good, planes={"pose 1": 1.0, "pose 7": 3.0, "pose 2": 1.2})
+    said = verdict(report, Gate.PLANE).remedy
+    assert "the board of pose 7 comes out 3.0 times rougher than its noise" in said
     assert not report.passed
+
+
+@pytest.mark.parametrize(("ratio", "passed"), [(4.0, True), (7.0, False), (float("nan"), False)])
+def test_boards_that_differ_by_more_than_predicted_are_flagged_and_by_much_refused(
+    good, ratio, passed
+):
+    report = check_calibration(good, repeatability={"pose 1": 1.0, "pose 2": ratio})
+    assert "the board of pose 2 differs" in verdict(report, Gate.REPEATABILITY).remedy
+    assert report.passed == passed

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from pathlib import Path
 
 import cv2
@@ -123,6 +124,11 @@ def test_the_report_asks_nothing_of_the_net_and_shows_every_part(calibrated):
     assert "pose-4" in page
     report = json.loads((calibrated / "report" / "report.json").read_text())
     assert report["passed"] is True
+    # No length was measured by hand.
+    assert [one["gate"] for one in report["not_tested"]] == ["scale"]
+    assert "Passed: every gate holds" not in page
+    assert "Not tested: scale (no length was measured by hand)" in page
+    assert page.count("<td>not tested</td>") == 1
     for plane in report["heldout_planes"]:
         assert plane["rms_mm"] < 1.3 * plane["predicted_noise_mm"]
         assert abs(plane["scale_error"]) < 1e-3
@@ -178,6 +184,47 @@ def test_too_few_tilts_are_refused_with_code_5_and_nothing_is_written(poses, tmp
     assert "measure the board" in done.stderr
     assert not (tmp_path / "rig").exists()
     assert json.loads((tmp_path / "f.json").read_text())["passed"] is False
+
+
+def test_a_model_that_there_is_none_of_is_refused_at_once_even_beside_a_good_one(poses):
+    done = impasto("calibrate", poses, *BOARD, "--model", "opencv4", "--model", "nonsense")
+    assert done.returncode == 3
+    assert "LENSMODEL_NONSENSE is no lens model that can be solved for; there are" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--out", "rig", "--report", "rig"), "--report rig is or lies in what --out names"),
+        (("--opencv", "nowhere/rig.yml"), "there is no folder nowhere"),
+        (("--report", "report", "--greys", "nowhere"), "nowhere: no such session"),
+        (("--greys", "nowhere"), "--greys and --chart are shown in the report: name --report"),
+        (("--earlier", "."), "holds no calibration of camera and projector"),
+    ],
+)
+def test_what_cannot_be_read_or_written_is_refused_before_the_solve(
+    poses, tmp_path, options, message
+):
+    done = impasto("calibrate", poses, *BOARD, *options, cwd=tmp_path)
+    assert done.returncode in (2, 3)
+    assert message in re.sub(r"[\s│]+", " ", done.stderr)
+    assert not list(tmp_path.iterdir())
+
+
+def test_poses_are_never_replaced_by_a_calibration(poses):
+    for out in (poses, poses / "pose-1", poses / "pose-1" / "rig"):
+        done = impasto("calibrate", poses, *BOARD, "--out", out, "--force")
+        assert done.returncode == 3
+        assert f"--out {out}" in done.stderr
+    assert len(list(poses.glob("*/plan.json"))) == len(POSES)
+
+
+def test_a_pose_under_two_names_is_refused_with_both(poses, tmp_path):
+    copy = tmp_path / "again"
+    shutil.copytree(poses / "pose-3", copy)
+    done = impasto("calibrate", poses / "pose-1", poses / "pose-3", copy, *BOARD)
+    assert done.returncode == 3
+    assert "pose-3 and again are the same recording; name each pose once" in done.stderr
 
 
 def test_boards_that_are_not_there_and_folders_that_hold_nothing_are_named(poses, tmp_path):

@@ -52,7 +52,16 @@ def test_sections_are_plain_numbers_in_json():
     found = ReportSections(lights=LIGHTS, responses=(CURVE,), colours=(patch,)).as_json()
     assert found["lights"][1]["position_mm"] == [0, 200, 250]
     assert found["responses"][0]["x"][-1] == 1.0
-    assert found["colours"] == [{"name": "red", "before": 4.0, "after": 1.0}]
+    assert found["responses"][0]["sigma_y"] == [0.01] * 9
+    assert found["colours"] == [
+        {
+            "name": "red",
+            "reference_srgb": [1.0, 0.0, 0.0],
+            "measured_srgb": [0.9, 0.1, 0.0],
+            "before": 4.0,
+            "after": 1.0,
+        }
+    ]
     assert ReportSections().as_json() == {}
 
 

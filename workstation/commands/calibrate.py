@@ -161,7 +161,9 @@ def calibrate(
     opencv: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write OpenCV's matrices as .yml or .xml.")
     ] = None,
-    force: Annotated[bool, typer.Option(help="Replace --out if it exists.")] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace --out if it is a calibration.")
+    ] = False,
     json: JsonOption = None,
 ) -> None:
     """Calibrate camera and projector from sessions of a board, and the light arm from photographs.
@@ -184,24 +186,52 @@ def calibrate(
     """
     from workstation.calibration_extras import Extras
     from workstation.calibration_messages import messages_on_lights, messages_on_rig
+    from workstation.calibration_options import CalibrationPaths, check_lights_alone, check_models
     from workstation.files_in_progress import files_in_progress
     from workstation.interruption import too_late_to_stop
 
-    _check_outputs(out, opencv, force=force)
+    if rig is not None:
+        check_lights_alone(
+            {
+                "sessions of a board": sessions,
+                "--corners": corners,
+                "--square": square,
+                "--marker": marker,
+                "--model": model,
+                "--board-shape": board_shape,
+                "--baseline": baseline,
+                "--earlier": earlier,
+                "--opencv": opencv,
+            }
+        )
+    models = tuple(_model_name(name) for name in model or ())
+    check_models(models)
+    CalibrationPaths(
+        sessions=tuple(sessions or ()),
+        earlier=tuple(earlier or ()),
+        lamps_for=tuple(lamps_for or ()),
+        greys=tuple(greys or ()),
+        rig=rig,
+        spheres=spheres,
+        white=white,
+        chart=chart,
+        out=out,
+        report=report,
+        opencv=opencv,
+        json=json,
+    ).check(force=force)
     asked = _lights(spheres, white, sphere_radius, sphere, white_pixel, white_albedo, mosaic,
                     position, lamps_for)  # fmt: skip
     extras = Extras(asked, tuple(greys or ()), chart, mosaic)
     if rig is not None:
-        if sessions or asked is None:
-            raise typer.BadParameter("goes with --spheres, and without sessions of a board",
-                                     param_hint="--rig")  # fmt: skip
-        write_json(json, _calibrate_lights_alone(rig, extras, out, report, force=force))
+        if asked is None:
+            raise typer.BadParameter("goes with --spheres", param_hint="--rig")
+        _calibrate_lights_alone(rig, extras, out, report, json, force=force)
         return
     if not sessions or corners is None or square is None:
         raise typer.BadParameter("name sessions of a board with --corners and --square, or a "
                                  "calibrated rig with --rig")  # fmt: skip
     board = _board(corners, square, square_sigma, marker, dictionary, legacy=legacy)
-    models = tuple(_model_name(name) for name in model or ())
     with files_in_progress(report) as page:
         done, lights, figures = _calibrate_all(
             sessions,
@@ -217,13 +247,15 @@ def calibrate(
         )
         too_late_to_stop()
     write_json(json, figures)
-    if done.gates.passed:
+    if done.gates.passed and (lights is None or lights.gates.passed):
         _write(done, lights, asked, figures, out, opencv, force=force)
     _say(messages_on_rig(done))
     if lights is not None:
         _say(messages_on_lights(lights))
     _say_where(report)
     done.gates.refuse()
+    if lights is not None:
+        lights.gates.refuse()
 
 
 def _lights(
@@ -314,13 +346,25 @@ def _calibrate_all(
             figures |= {"light_arm": lights.figures()}
         if report is not None:
             begin("writing the report")
-            write_report(done, report, sections=extras.sections(lights), figures=figures)
+            write_report(
+                done,
+                report,
+                sections=extras.sections(lights),
+                figures=figures,
+                light_gates=None if lights is None else lights.gates,
+            )
     return done, lights, figures
 
 
 def _calibrate_lights_alone(
-    rig: Path, extras: Extras, out: Path | None, report: Path | None, *, force: bool
-) -> dict[str, Any]:
+    rig: Path,
+    extras: Extras,
+    out: Path | None,
+    report: Path | None,
+    json: Path | None,
+    *,
+    force: bool,
+) -> None:
     from acquisition.atomic_files import folder_in_progress
     from calibration.rig_geometry import RigGeometry
     from workstation.calibration_messages import messages_on_lights
@@ -337,28 +381,18 @@ def _calibrate_lights_alone(
             steps.begin(stage)
 
         lights = extras.lights.calibrate(RigGeometry.load(rig), begin=begin)
-        figures = {"light_arm": lights.figures()}
         with files_in_progress(report) as page:
             if page is not None:
                 write_light_report(lights, extras.sections(lights), page)
             too_late_to_stop()
-    if out is not None:
+    write_json(json, {"light_arm": lights.figures()})
+    if out is not None and lights.gates.passed:
         with folder_in_progress(out, replace=force) as folder:
             extras.lights.write(lights, folder)
         typer.echo(f"{out}: calibration of the light arm")
     _say(messages_on_lights(lights))
     _say_where(report)
-    return figures
-
-
-def _check_outputs(out: Path | None, opencv: Path | None, *, force: bool) -> None:
-    from calibration.errors import CalibrationError
-
-    if out is not None and out.exists() and not force:
-        raise CalibrationError(f"{out} exists already; choose another place, or replace it "
-                               "with --force")  # fmt: skip
-    if opencv is not None and opencv.suffix not in (".yml", ".yaml", ".xml"):
-        raise typer.BadParameter("takes a file in .yml, .yaml or .xml", param_hint="--opencv")
+    lights.gates.refuse()
 
 
 def _board(
