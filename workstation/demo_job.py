@@ -153,7 +153,16 @@ def run_demo(
     write_processed(processed, copy)
     stages.run(RENDERING, lambda: _render(processed.copy, folder / "renders", capture.render_px))
     lamps = LampTable.load(folder / LAMPS_FILE)
-    truth = stages.run(TRUTH, lambda: measure_truth(processed, rig, lamps))
+    arm = calibration.get("lights", {})
+    truth = stages.run(
+        TRUTH,
+        lambda: measure_truth(
+            processed,
+            rig,
+            lamps,
+            lamp_direction_predicted_deg=arm.get("direction_error_deg_median"),
+        ),
+    )
     write_run(
         processed, copy, {"quality": str(Quality.NORMAL), "expected_seconds": EXPECTED_S[size]}
     )
