@@ -177,12 +177,15 @@ def test_a_scan_cut_off_resumes_to_the_same_manifest(rig, whole, tmp_path, numbe
 
 def test_what_cannot_be_recorded_ends_with_its_exit_code(rig, tmp_path):
     one_pose = (*FEW, "--poses", 1)
+    full = tmp_path / "full"
+    full.mkdir()
+    (full / "notes.txt").write_text("somebody else's")
     cases = [
         (("scan", tmp_path / "none.toml", "--out", tmp_path / "s"), 3, "No such file"),
         (("scan", rig, "--out", tmp_path / "s", "--steps", 2), 2, "steps"),
         (("scan", rig, "--out", tmp_path / "s", "--exposure", 90_000), 4, "outside what"),
         (("scan", rig, "--out", rig.parent), 3, "which is read from"),
-        (("scan", rig, "--out", tmp_path), 3, "exists already"),
+        (("scan", rig, "--out", full), 3, "exists already"),
         (("photograph", rig, "--out", tmp_path / "s", "--position", "roof"), 3, "'roof'"),
         (
             ("photograph", rig, "--out", tmp_path / "t", *one_pose, "--flat-target"),
