@@ -11,10 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.plan import Imager
-from calibration.board_relief import BoardRelief, compare_reliefs, reconstruct_board
+from calibration.board_relief import (
+    BoardRelief,
+    compare_reliefs,
+    deviation_from_polynomial,
+    reconstruct_board,
+)
 from calibration.board_shape import align_turned_views
 from calibration.board_views import BoardView
 from calibration.boards import Chessboard
+from calibration.cross_validation import fit_board_pose
+from calibration.dense_solve import solve_densely
+from calibration.lens import transform
 from calibration.mrcal_solve import (
     load_solution,
     resolve,
@@ -29,6 +37,9 @@ from calibration.procam import (
     calibrate_procam,
     measure_view,
 )
+from calibration.rig_geometry import RigGeometry
+from calibration.surface_samples import sample_surface
+from calibration.uncertainty import RigCovariance
 from workstation.benchmark_records import Record, Sense
 from workstation.benchmarks.lights import light_records
 from workstation.benchmarks.registration import registration_records
@@ -47,6 +58,8 @@ PROCAM_CAPTURE = "slstudio_procam"
 FIGUEROA = "mrcal-figueroa"
 PAPER_BOARD = Chessboard(columns=9, rows=13, square_mm=10.0)
 DISTANCE_MM = 700.0
+# Degree of a polynomial over the board beyond which no lens and no pose bends a surface.
+_NO_LENS = 8
 # Only gross errors of a detector with heavy tails: the stored solves left out three corners.
 _FIGUEROA_OUTLIER_SIGMAS = 11.5
 
@@ -65,12 +78,29 @@ def bench(*, seeds: int = 20) -> list[Record]:
 def procam_records(folder: Path) -> list[Record]:
     """Each pose left out in turn, its board reconstructed densely."""
     measured, views, description_sizes = _measured_poses(folder)
-    stereo, reliefs = [], []
+    samples = [
+        sample_surface(one.correspondence, view.pixels[0], name=view.name)
+        for one, view in zip(measured, views, strict=True)
+    ]
+    stereo, reliefs, from_corners, expected = [], [], [], []
     for number, (one, view) in enumerate(zip(measured, views, strict=True)):
-        calibration = _calibrated(views[:number] + views[number + 1 :], description_sizes)
+        rest = [n for n in range(len(views)) if n != number]
+        calibration = _calibrated([views[n] for n in rest], description_sizes)
         stereo.append(calibration.solution.rms_per_point_px)
-        reliefs.append(_relief(one, view, calibration))
+        start = calibration.working_distance_mm
+        from_corners.append(_relief(one, view, calibration.rig, start))
+        # Of three poses no view turns out gross, so the poses are those that were given.
+        dense = solve_densely(
+            calibration.rig,
+            calibration.solution.rt_ref_board,
+            PAPER_BOARD,
+            [views[n].pixels[0] for n in rest],
+            [samples[n] for n in rest],
+        )
+        reliefs.append(_relief(one, view, dense.rig, start))
+        expected.append(_expected_scale_error(dense.rig, view))
     repeatability = compare_reliefs(reliefs)
+    corners = compare_reliefs(from_corners).rms_mm
     scales = np.abs([relief.scale_error for relief in reliefs])
     ratio = max(relief.noise_over_predicted for relief in reliefs)
 
@@ -90,12 +120,22 @@ def procam_records(folder: Path) -> list[Record]:
 
     rms, detrended = repeatability.rms_mm, repeatability.detrended_rms_mm
     noise = np.array([relief.noise_over_predicted for relief in reliefs])
+    fast = np.array([deviation_from_polynomial(d, _NO_LENS) for d in repeatability.difference_mm])
     return [
         figure("stereo_px", max(stereo), "px", 0.30, np.array(stereo)),
         figure("repeatability_mm", rms.mean(), "mm", 0.020, rms),
         figure("repeatability_detrended_mm", detrended.mean(), "mm", 0.010, detrended),
         figure("heldout_noise_over_predicted", ratio, "", 1.1, noise),
         figure("scale_error", scales.max(), "", 0.0005, scales),
+        figure("scale_error_expected", max(expected), "", 0.0005, np.array(expected)),
+        figure("corners_repeatability_mm", corners.mean(), "mm", 0.020, corners),
+        figure(
+            "beyond_any_lens_mm",
+            np.mean(fast),
+            "mm",
+            0.010,
+            fast,
+        ),
     ]
 
 
@@ -132,14 +172,23 @@ def _calibrated(views: list[BoardView], sizes: tuple[Imager, Imager]) -> ProcamC
     )
 
 
-def _relief(one: MeasuredView, view: BoardView, calibration: ProcamCalibration) -> BoardRelief:
+def _relief(one: MeasuredView, view: BoardView, rig: RigGeometry, start_mm: float) -> BoardRelief:
     return reconstruct_board(
-        one.correspondence,
-        view.pixels[0],
-        PAPER_BOARD,
-        calibration.rig,
-        start_mm=calibration.working_distance_mm,
+        one.correspondence, view.pixels[0], PAPER_BOARD, rig, start_mm=start_mm
     )
+
+
+def _expected_scale_error(rig: RigGeometry, view: BoardView) -> float:
+    """Standard error of the board's diagonals at a pose, as the rig's covariance predicts it."""
+    assert rig.covariance is not None
+    grid = BoardView("diagonals", (view.pixels[0],), (np.ones(view.pixels[0].shape[:2]),))
+    pose = fit_board_pose((rig.camera,), np.zeros((1, 6)), grid, PAPER_BOARD.points).rt_ref_board
+    ends = transform(pose, PAPER_BOARD.points[[0, -1, 0, -1], [0, -1, -1, 0]])
+    lever = RigCovariance(rig, rig.covariance, 0.0).point_jacobian(ends)
+    along = np.array([ends[0] - ends[1], ends[2] - ends[3]])
+    squares = np.sum(along**2, axis=1, keepdims=True)
+    by_rig = np.einsum("ki,kin->kn", along / squares, lever[[0, 2]] - lever[[1, 3]]).mean(axis=0)
+    return float(np.sqrt(by_rig @ rig.covariance @ by_rig))
 
 
 def figueroa_records(folder: Path) -> list[Record]:
