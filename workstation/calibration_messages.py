@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from acquisition.session_mosaic import warning_of_colours
 from calibration.gates import Gate
 from calibration.verdicts import GateReport
 from workstation.light_calibration import CalibratedLights
@@ -70,6 +71,9 @@ def messages_on_lights(lights: CalibratedLights) -> Messages:
         f"({sigma.max():.3f}° at worst)"
     )
     warnings = [f"{v.gate}: {v.remedy}" for v in lights.gates.failures if not v.refuses]
+    grey = warning_of_colours(lights.white.session, lights.white.mosaic)
+    if grey is not None:
+        warnings.append(grey)
     if arm.shading_excess > 1:
         warnings.append(
             f"the white target's radiance is off by {arm.shading_misfit:.1%} from a matt one's "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from acquisition.session_writer import SessionWriter
 from calibration.arm_photographs import ArmPhotographs
 from devices.bayer import BayerPattern
 from devices.errors import DeviceError
+from workstation.calibration_messages import messages_on_lights
 
 CHOICES = PhotographChoices(
     exposures_s=(0.05, 0.1, 0.5), code_exposures_s=(0.1,), poses=3, steps=3, period_px=32.0
@@ -112,6 +114,14 @@ def test_colours_of_which_nobody_said_are_seen_in_the_photographs(tmp_path):
     assert mosaic_of(unsaid, BayerPattern.GBRG) is BayerPattern.GBRG
     assert "name the order of its colours with --mosaic" in warning_of_colours(unsaid, None)
     assert warning_of_colours(unsaid, BayerPattern.GBRG) is None
+    lights = SimpleNamespace(
+        white=ArmPhotographs.of(unsaid),
+        spheres=(),
+        arm=SimpleNamespace(poses=(), residual_deg=np.ones(2), shading_excess=1.0),
+        direction_sigma_deg=lambda: np.ones(2),
+        gates=SimpleNamespace(failures=(), not_tested=()),
+    )
+    assert "--mosaic" in messages_on_lights(lights).warnings[0]
     # Its pixels differ by as much, by chance.
     assert warning_of_colours(recorded(tmp_path / "grey", TinyCamera), None) is None
 

@@ -135,7 +135,8 @@ def calibrate(
         float, typer.Option(min=0.01, max=1.0, help="Reflectance of the white target.")
     ] = 1.0,
     mosaic: Annotated[
-        BayerPattern | None, typer.Option(help="Order of the camera's colours, if it has any.")
+        BayerPattern | None,
+        typer.Option(help="Order of the camera's colours, where the photographs do not say."),
     ] = None,
     position: Annotated[
         str | None,
