@@ -44,8 +44,10 @@ class LightGateLimits:
     suspect_share : float
         Most share of poses whose highlights are off by more than noise explains.
     shading_misfit : float
-        Most relative root mean square error of the target's radiance: what is called matt departs
-        from Lambert's law by some hundredths.
+        Most relative root mean square error of the target's radiance from pose to pose, beyond
+        which it is flagged: what is called matt departs from Lambert's law by some hundredths.
+    largest_shading_misfit : float
+        The same, beyond which it refuses.
     """
 
     behind_radii: float = 1.0
@@ -53,7 +55,8 @@ class LightGateLimits:
     outline_sigmas: float = 3.0
     residual_deg: float = 0.5
     suspect_share: float = 0.25
-    shading_misfit: float = 0.1
+    shading_misfit: float = 0.03
+    largest_shading_misfit: float = 0.1
 
 
 def check_lights(
@@ -173,10 +176,13 @@ def _suspect(arm: LightArm, limits: LightGateLimits) -> Verdict:
 
 
 def _shading(arm: LightArm, limits: LightGateLimits) -> Verdict:
-    found = arm.shading_misfit
+    found, name = arm.shading_misfit, "relative RMS error of radiance"
     return Verdict(
         LightGate.SHADING,
-        (Criterion("relative RMS error of radiance", found, limits.shading_misfit),),
-        f"the white target's radiance is off by {found:.0%} from what the lamps would give: is it "
+        (
+            Criterion(f"{name}, to be used at all", found, limits.largest_shading_misfit),
+            Criterion(name, found, limits.shading_misfit, refuses=False),
+        ),
+        f"the white target's radiance is off by {found:.1%} from what the lamps would give: is it "
         "matt, is the spheres' radius right, and was every other light out?",
     )

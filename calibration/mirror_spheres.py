@@ -96,7 +96,7 @@ def sphere_from_outline(
     Parameters
     ----------
     edges : (n, 2) array
-        Columns and rows, sub-pixel.
+        Columns and rows, sub-pixel, in their order about the sphere: neighbours err alike.
     lens : Lens
     radius_mm : float
 

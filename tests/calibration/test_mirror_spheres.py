@@ -64,6 +64,22 @@ def test_centres_err_as_much_as_predicted():
     assert np.sqrt(np.mean(np.square(white))) == pytest.approx(1, abs=0.12)
 
 
+def test_edges_that_err_like_their_neighbours_leave_the_centre_less_sure():
+    edges = outline(240)
+    random = np.random.default_rng(3)
+    squares, alone = [], []
+    for _ in range(60):
+        single = random.normal(0, 0.1, edges.shape)
+        noise = sum(np.roll(single, lag, axis=0) for lag in range(4))
+        sphere = sphere_from_outline(edges + noise, LENS, radius_mm=RADIUS)
+        error = sphere.centre - CENTRE
+        squares.append(error @ np.linalg.solve(sphere.covariance, error) / 3)
+        other = sphere_from_outline(edges + random.permutation(noise), LENS, radius_mm=RADIUS)
+        alone.append(sphere.covariance[2, 2] / other.covariance[2, 2])
+    assert 0.75 < np.mean(squares) < 1.6
+    assert np.median(alone) > 2
+
+
 def outline(count=120):
     distance = np.linalg.norm(CENTRE)
     across = np.linalg.svd((CENTRE / distance)[np.newaxis])[2][1:]

@@ -235,6 +235,7 @@ def test_spheres_of_a_wrong_radius_are_refused_and_the_right_one_named(folder, s
         ({}, 1.0, None, None),
         ({}, 1.25, "spheres beside the target", "refused"),
         ({}, 0.8, "spheres beside the target", "refused"),
+        ({"shading_misfit": 0.057}, 1.0, "shading of the target", "warning"),
         ({"shading_misfit": 0.23}, 1.0, "shading of the target", "refused"),
         ({"shading_misfit": float("nan")}, 1.0, "shading of the target", "refused"),
         ({"suspect": (1,)}, 1.0, "suspect poses", "warning"),
