@@ -175,6 +175,8 @@ COMMANDS = [
     "devices lamps.json --json lamps.json",
     "demo --out demo --force --json demo/f.json",
     "demo --out theirs --force",
+    "bench render --json copy/f.json",
+    "bench render --pictures copy",
 ]
 
 

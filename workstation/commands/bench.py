@@ -60,6 +60,7 @@ def bench(
     import inspect
 
     from workstation.benchmark_records import print_records
+    from workstation.destinations import check_destinations
     from workstation.files_in_progress import files_in_progress
     from workstation.interruption import too_late_to_stop
 
@@ -68,6 +69,9 @@ def bench(
     if which is Benchmark.ALL and (pictures or part):
         raise typer.BadParameter("all benchmarks have their pictures and parts in --out")
     # Before minutes of measuring, not after them.
+    check_destinations(
+        makes={"--out": out}, fills={"--pictures": pictures}, writes={"--json": json}
+    )
     if pictures is not None and not pictures.parent.is_dir():
         raise typer.BadParameter(
             f"there is no folder {pictures.parent}; make it first", param_hint="--pictures"
