@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -275,7 +276,7 @@ class BoundedPrimitive(PaintingPrimitive):
         self,
         eye: NDArray[np.float64],
         pixel_angle: float,
-        to_clip: NDArray[np.float64],
+        to_clip: Callable[[], NDArray[np.float64]],
         pixels: int,
     ) -> None:
         """Make ready for a view.
@@ -286,8 +287,8 @@ class BoundedPrimitive(PaintingPrimitive):
             Place in the canvas frame, mm.
         pixel_angle : float
             Radians.
-        to_clip : (4, 4) array
-            From the canvas frame to the view's clip space.
+        to_clip : callable
+            Matrix (4, 4) from the canvas frame to the view's clip space; few views need it.
         pixels : int
             Of the picture.
         """
@@ -321,12 +322,12 @@ class BoundedPrimitive(PaintingPrimitive):
         }
 
     def _large_triangles(
-        self, to_clip: NDArray[np.float64], pixels: int
+        self, to_clip: Callable[[], NDArray[np.float64]], pixels: int
     ) -> list[tuple[int, int]] | None:
         """Runs of the triangles that are seen, where they are so large that it is less work."""
         if self._tiles is None:
             return None
-        runs = self._tiles.runs(self._tiles.seen(to_clip))
+        runs = self._tiles.runs(self._tiles.seen(to_clip()))
         if pixels < _LARGE_PX * sum(count for _, count in runs):
             return None
         before = _BOX[0] + _BOX[1]

@@ -126,10 +126,16 @@ class PaintingRenderer(pyrender.renderer.Renderer):
         began = time.process_time()
         camera = scene.main_camera_node
         projection = camera.camera.get_projection_matrix(self.viewport_width, self.viewport_height)
-        to_canvas = _rigid_inverse(pose) @ scene.get_pose(camera)
+        camera_pose = scene.get_pose(camera)
+
+        def to_clip() -> NDArray[np.float64]:
+            clipped: NDArray[np.float64] = projection @ _rigid_inverse(camera_pose) @ pose
+            return clipped
+
         primitive.look(
-            *(to_canvas[:3, 3], 2 / (projection[1, 1] * self.viewport_height)),
-            projection @ _rigid_inverse(to_canvas),
+            (camera_pose[:3, 3] - pose[:3, 3]) @ pose[:3, :3],
+            2 / (projection[1, 1] * self.viewport_height),
+            to_clip,
             self.viewport_width * self.viewport_height,
         )
         # A view may need maps that none before it did.

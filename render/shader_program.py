@@ -98,8 +98,9 @@ class PaintingProgram:
         elif array.ndim == 0:
             GL.glUniform1f(location, float(array))
         elif array.ndim == 1:
-            setter = {2: GL.glUniform2fv, 3: GL.glUniform3fv, 4: GL.glUniform4fv}[len(array)]
-            setter(location, 1, np.ascontiguousarray(array, np.float32))
+            # Single numbers: PyOpenGL takes several times as long over an array.
+            setter = {2: GL.glUniform2f, 3: GL.glUniform3f, 4: GL.glUniform4f}[len(array)]
+            setter(location, *(float(number) for number in array))
         else:
             matrix = np.ascontiguousarray(array, np.float32)
             GL.glUniformMatrix4fv(location, 1, GL.GL_TRUE, matrix)
