@@ -123,7 +123,8 @@ class PaintingRenderer(pyrender.renderer.Renderer):
             yield node
 
     def _look(self, primitive: BoundedPrimitive, scene: Any, pose: NDArray[np.float64]) -> None:
-        began = time.process_time()
+        # Only this thread's: others may still be at work on what was drawn before.
+        began = time.thread_time()
         camera = scene.main_camera_node
         projection = camera.camera.get_projection_matrix(self.viewport_width, self.viewport_height)
         camera_pose = scene.get_pose(camera)
@@ -143,7 +144,7 @@ class PaintingRenderer(pyrender.renderer.Renderer):
             texture._add_to_context()
             self._mesh_textures.add(texture)
         if self.painting_cpu_s is not None:
-            self.painting_cpu_s += time.process_time() - began
+            self.painting_cpu_s += time.thread_time() - began
 
     def _bind_lighting(self, scene: Any, program: Any, node: Any, flags: int) -> None:
         self._camera_pose = scene.get_pose(scene.main_camera_node)

@@ -138,11 +138,6 @@ class StageCache:
         value = self._compute(name, key, compute)
         return StageResult(key, lambda: value)
 
-    def seconds_before(self, name: str) -> float | None:
-        """What a stage took when it last ran; None if that is not known."""
-        note = self._note(name)
-        return _number(note["seconds"]) if "seconds" in note else None
-
     def _compute(self, name: str, key: str, compute: Callable[[], T]) -> T:
         """Run a stage, and store its result; what became of it before is forgotten."""
         self.begin(name)
