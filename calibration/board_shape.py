@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 from calibration.board_views import BoardView
 from calibration.errors import CalibrationError
 from calibration.lens import compose, rotation, transform
-from calibration.mrcal_solve import LensSolution, resolve
+from calibration.mrcal_solution import LensSolution
+from calibration.mrcal_solve import resolve
 
 _ROUNDS = 30
 # Change of the displacements that is left, over their standard errors.

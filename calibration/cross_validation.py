@@ -22,7 +22,8 @@ from calibration.board_views import BoardView
 from calibration.boards import Chessboard
 from calibration.errors import CalibrationError
 from calibration.lens import Lens, compose, transform
-from calibration.mrcal_solve import LensSolution, solve_lenses, solve_without
+from calibration.mrcal_solution import LensSolution
+from calibration.mrcal_solve import solve_lenses, solve_without
 
 _FOLDS = 5
 _ROUNDS = 30

@@ -24,7 +24,7 @@ neighbours err alike. This is bundle adjustment with a shape common to the views
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sparse
@@ -34,8 +34,16 @@ from scipy.linalg import cho_factor, cho_solve
 from calibration.board_shape import shears, similarities
 from calibration.board_surface import SplineGrid
 from calibration.boards import Chessboard
+from calibration.dense_equations import (
+    DenseProblem,
+    DenseState,
+    Equations,
+    blocks_of,
+    corner_equations,
+    surface_equations,
+)
 from calibration.errors import CalibrationError
-from calibration.lens import Lens, compose, rotation, transform
+from calibration.lens import compose
 from calibration.rig_geometry import RigGeometry
 from calibration.surface_samples import SurfaceSamples
 
@@ -43,11 +51,6 @@ from calibration.surface_samples import SurfaceSamples
 _REACHES = (60.0, 60.0, 20.0, 10.0, 5.0)
 _STEPS = 8
 _SETTLED = 1e-3
-_MEETINGS = 5
-_FIRST_DISPLACEMENT_MM = 0.02
-_FIRST_ROUGHNESS_MM = 0.05
-# A turn of the projector from view to view in radians, and a shift in mm.
-_FIRST_DRIFT = (1e-4, 0.03)
 _HELD = 1e5
 
 
@@ -119,14 +122,14 @@ def solve_densely(
             "surface: three of each are needed at least"
         )
     grid = SplineGrid.over(board, knots_per_square=knots_per_square)
-    state = _State(
+    state = DenseState(
         rig,
         np.array(rt_cam_board, np.float64),
         np.zeros((len(rt_cam_board), 6)),
         np.zeros(grid.size),
         np.zeros((board.rows, board.columns, 2)),
     )
-    problem = _Problem(board, grid, tuple(corners), tuple(samples))
+    problem = DenseProblem(board, grid, tuple(corners), tuple(samples))
     for reach in _REACHES:
         weights = _weights(problem, state, reach)
         for _ in range(_STEPS):
@@ -151,60 +154,6 @@ def solve_densely(
 
 
 @dataclass(frozen=True)
-class _State:
-    rig: RigGeometry
-    poses: NDArray[np.float64]
-    drift: NDArray[np.float64]
-    relief: NDArray[np.float64]
-    displacement: NDArray[np.float64]
-
-    @property
-    def lens_parameters(self) -> int:
-        return len(self.rig.parameters) - 6
-
-    def moved(self, step: NDArray[np.float64]) -> _State:
-        """The state after a step; poses turn and shift in the frame that they lead to."""
-        lenses, rest = np.split(step, [self.lens_parameters])
-        pose, rest = np.split(rest, [6])
-        poses, rest = np.split(rest, [self.poses.size + self.drift.size])
-        poses, drift = np.split(poses.reshape(-1, 12), 2, axis=1)
-        relief, displacement = np.split(rest, [len(self.relief)])
-        rig = self.rig.moved(np.concatenate([lenses, np.zeros(6)]))
-        return _State(
-            replace(rig, rt_proj_cam=compose(pose, rig.rt_proj_cam)),
-            np.array([compose(s, p) for s, p in zip(poses, self.poses, strict=True)]),
-            np.array([compose(s, d) for s, d in zip(drift, self.drift, strict=True)]),
-            self.relief + relief,
-            self.displacement + displacement.reshape(self.displacement.shape),
-        )
-
-
-@dataclass(frozen=True)
-class _Problem:
-    board: Chessboard
-    grid: SplineGrid
-    corners: tuple[NDArray[np.float64], ...]
-    samples: tuple[SurfaceSamples, ...]
-    roughness_mm: float = _FIRST_ROUGHNESS_MM
-    displacement_mm: float = _FIRST_DISPLACEMENT_MM
-    drift: NDArray[np.float64] = field(default_factory=lambda: np.repeat(_FIRST_DRIFT, 3))
-
-    def with_priors_of(self, state: _State, covariance: NDArray[np.float64]) -> _Problem:
-        """With the variances that the unknowns show, and what their priors hide."""
-        relief, place = _blocks_of(state)[2:]
-        rough = self.grid.roughness()
-        hidden = rough.multiply(rough @ covariance[relief, relief]).sum() / rough.shape[0]
-        own = float(np.mean((rough @ state.relief) ** 2) + hidden)
-        sheared = shears(self.board.points.reshape(-1, 3)[:, :2]).reshape(-1, 2)
-        flat = state.displacement.ravel()
-        flat = flat - sheared @ (sheared.T @ flat)
-        shown = np.mean(flat**2) + np.mean(np.diag(covariance)[place])
-        return replace(
-            self, roughness_mm=max(np.sqrt(own), 1e-5), displacement_mm=float(np.sqrt(shown))
-        )
-
-
-@dataclass(frozen=True)
 class _Weights:
     """Standard deviations that the residuals show."""
 
@@ -212,123 +161,6 @@ class _Weights:
     alike: NDArray[np.float64]  # (2,), by how much neighbours err alike, as a variance
     corner_px: float
     reach: float  # of Tukey's function, in standard deviations
-
-
-def _blocks_of(state: _State) -> tuple[slice, slice, slice, slice]:
-    """Where rig, poses with drifts, relief and displacements stand in a step.
-
-    Of each view the board's pose stands first, then the projector's drift.
-    """
-    ends = np.cumsum(
-        [
-            state.lens_parameters + 6,
-            state.poses.size + state.drift.size,
-            len(state.relief),
-            state.displacement.size,
-        ]
-    )
-    return tuple(slice(int(a), int(b)) for a, b in zip([0, *ends], ends, strict=False))  # type: ignore[return-value]
-
-
-def _lens_gradient(lens: Lens, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Derivative (n, 2, parameters) of pixels by the lens's parameters."""
-    gradient = np.empty((len(points), 2, len(lens.intrinsics)))
-    for number, value in enumerate(lens.intrinsics):
-        step = 1e-5 * max(1.0, abs(value))
-        ends = []
-        for sign in (1, -1):
-            intrinsics = lens.intrinsics.copy()
-            intrinsics[number] += sign * step
-            ends.append(replace(lens, intrinsics=intrinsics).project(points))
-        gradient[..., number] = (ends[0] - ends[1]) / (2 * step)
-    return gradient
-
-
-def _motion(points: NDArray[np.float64], gradient: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Derivative (n, i, 6) of what has a gradient (n, i, 3) by a turn and shift of points."""
-    return np.concatenate([np.cross(points[:, None, :], gradient), gradient], axis=-1)
-
-
-@dataclass(frozen=True)
-class _Equations:
-    """Residuals of one view and their derivatives."""
-
-    residual: NDArray[np.float64]  # (n, 2)
-    rig: NDArray[np.float64]  # (n, 2, parameters + 6)
-    view: NDArray[np.float64]  # (n, 2, 12), by the board's pose and the projector's drift
-    relief: NDArray[np.float64]  # (n, 2), by the height
-    index: NDArray[np.int_]  # (n, 16)
-    basis: NDArray[np.float64]  # (n, 16)
-    place: NDArray[np.float64] | None = None  # (n, 2, 2), by the corner's displacement
-
-
-def _surface_equations(
-    problem: _Problem, state: _State, view: int, *, derivatives: bool = True
-) -> _Equations:
-    samples, pose, rig = problem.samples[view], state.poses[view], state.rig
-    ray = rig.camera.unproject(samples.pixels)
-    turn = rotation(pose)
-    start, along = -turn.T @ pose[3:], ray @ turn
-    depth = -start[2] / along[:, 2]
-    for _ in range(_MEETINGS):
-        at = start + depth[:, None] * along
-        height = problem.grid.heights(state.relief, at[:, :2])
-        normal = np.column_stack([-height[:, 1:], np.ones(len(at))])
-        facing = np.einsum("ni,ni->n", along, normal)
-        depth = depth - (at[:, 2] - height[:, 0]) / facing
-    point = depth[:, None] * ray
-    usual, drift = transform(rig.rt_proj_cam, point), state.drift[view]
-    lit = transform(drift, usual)
-    pixels, gradient = rig.projector.project_with_gradient(lit)
-    residual = samples.coordinates - pixels
-    index, basis = problem.grid.basis(at[:, :2])
-    nothing = np.zeros((len(ray), 2, 0))
-    if not derivatives:
-        return _Equations(residual, nothing, nothing, residual, index, basis[..., 0])
-    before = gradient @ rotation(drift)
-    by_point = before @ rotation(rig.rt_proj_cam)
-    by_depth = np.einsum("nij,nj->ni", by_point, ray)
-    towards = normal @ turn.T
-    # Moving the surface by d moves the point along the ray by N·d / N·ray.
-    surface = by_depth[:, :, None] * (towards / facing[:, None])[:, None, :]
-    _, bend = rig.camera.project_with_gradient(ray)
-    slope = -np.linalg.solve(bend[..., :2], _lens_gradient(rig.camera, ray))
-    by_ray = depth[:, None, None] * (by_point - surface)[..., :2]
-    return _Equations(
-        residual,
-        np.concatenate(
-            [by_ray @ slope, _lens_gradient(rig.projector, lit), _motion(usual, before)], axis=-1
-        ),
-        np.concatenate([_motion(point, surface), _motion(lit, gradient)], axis=-1),
-        by_depth / facing[:, None],
-        index,
-        basis[..., 0],
-    )
-
-
-def _corner_equations(problem: _Problem, state: _State, view: int) -> _Equations:
-    pose, rig = state.poses[view], state.rig
-    points = problem.board.points.reshape(-1, 3).copy()
-    points[:, :2] += state.displacement.reshape(-1, 2)
-    index, basis = problem.grid.basis(points[:, :2])
-    height = np.einsum("nk,nkj->nj", state.relief[index], basis)
-    points[:, 2] = height[:, 0]
-    here = transform(pose, points)
-    pixels, gradient = rig.camera.project_with_gradient(here)
-    on_board = gradient @ rotation(pose)
-    by_rig = np.zeros((len(points), 2, state.lens_parameters + 6))
-    count = len(rig.camera.intrinsics)
-    by_rig[..., :count] = _lens_gradient(rig.camera, here)
-    by_place = on_board[..., :2] + on_board[..., 2:] * height[:, None, 1:]
-    return _Equations(
-        problem.corners[view].reshape(-1, 2) - pixels,
-        by_rig,
-        np.concatenate([_motion(here, gradient), np.zeros((len(points), 2, 6))], axis=-1),
-        on_board[..., 2],
-        index,
-        basis[..., 0],
-        by_place,
-    )
 
 
 def _spread(residual: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -343,10 +175,10 @@ def _robust(
     return np.repeat(np.nan_to_num(share.min(axis=-1, keepdims=True)), 2, axis=-1)
 
 
-def _weights(problem: _Problem, state: _State, reach: float) -> _Weights:
+def _weights(problem: DenseProblem, state: DenseState, reach: float) -> _Weights:
     """Of all views together: a view weighed by its own residuals alone could be given up."""
     views = range(len(state.poses))
-    left = [_surface_equations(problem, state, v, derivatives=False).residual for v in views]
+    left = [surface_equations(problem, state, v, derivatives=False).residual for v in views]
     noise = np.median(np.concatenate([s.variance for s in problem.samples]), axis=0)
     floor = np.sqrt(np.maximum(_spread(np.concatenate(left)) ** 2 - noise, 0))
     means = []
@@ -362,7 +194,7 @@ def _weights(problem: _Problem, state: _State, reach: float) -> _Weights:
         max(1.0, float(np.mean(np.concatenate([m for axis, m in means if axis == k]))))
         for k in (0, 1)
     ]
-    corners = np.concatenate([_corner_equations(problem, state, v).residual for v in views])
+    corners = np.concatenate([corner_equations(problem, state, v).residual for v in views])
     # Each corner's place is fitted to one residual in so many.
     spent = len(views) / (len(views) - 1)
     corner = float(np.sqrt(np.mean(_spread(corners) ** 2) * spent))
@@ -370,16 +202,16 @@ def _weights(problem: _Problem, state: _State, reach: float) -> _Weights:
 
 
 def _normal_equations(
-    problem: _Problem, state: _State, weights: _Weights
+    problem: DenseProblem, state: DenseState, weights: _Weights
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    rig, poses, relief, place = _blocks_of(state)
+    rig, poses, relief, place = blocks_of(state)
     normal = np.zeros((place.stop, place.stop))
     right = np.zeros(place.stop)
     for view, samples in enumerate(problem.samples):
-        surface = _surface_equations(problem, state, view)
+        surface = surface_equations(problem, state, view)
         sigma = np.sqrt(samples.variance + weights.floor_px**2)
         weight = _robust(surface.residual, sigma, weights.reach) / (sigma**2 * weights.alike)
-        seen = _corner_equations(problem, state, view)
+        seen = corner_equations(problem, state, view)
         corner = np.full(seen.residual.shape, weights.corner_px)
         pairs = (
             (surface, weight),
@@ -394,7 +226,7 @@ def _normal_equations(
 def _add(
     normal: NDArray[np.float64],
     right: NDArray[np.float64],
-    equations: _Equations,
+    equations: Equations,
     weight: NDArray[np.float64],
     blocks: tuple[slice, slice, slice, slice],
     view: int,
@@ -430,9 +262,12 @@ def _add(
 
 
 def _add_priors(
-    problem: _Problem, state: _State, normal: NDArray[np.float64], right: NDArray[np.float64]
+    problem: DenseProblem,
+    state: DenseState,
+    normal: NDArray[np.float64],
+    right: NDArray[np.float64],
 ) -> None:
-    _, poses, relief, place = _blocks_of(state)
+    _, poses, relief, place = blocks_of(state)
     for view, drift in enumerate(state.drift):
         own = poses.start + 12 * view + 6 + np.arange(6)
         normal[own, own] += 1 / problem.drift**2
@@ -459,8 +294,10 @@ def _add_priors(
     right[place] -= pinned @ state.displacement.ravel()
 
 
-def _solved(problem: _Problem, state: _State, covariance: NDArray[np.float64]) -> DenseSolution:
-    rig, _, _, _ = _blocks_of(state)
+def _solved(
+    problem: DenseProblem, state: DenseState, covariance: NDArray[np.float64]
+) -> DenseSolution:
+    rig, _, _, _ = blocks_of(state)
     count = state.lens_parameters
     step = 1e-6
     turned = np.empty((6, 6))
@@ -471,8 +308,8 @@ def _solved(problem: _Problem, state: _State, covariance: NDArray[np.float64]) -
     lever[count:, count:] = turned
     found = lever @ covariance[rig, rig] @ lever.T
     views = range(len(state.poses))
-    left = [_surface_equations(problem, state, v, derivatives=False).residual for v in views]
-    seen = [_corner_equations(problem, state, v).residual for v in views]
+    left = [surface_equations(problem, state, v, derivatives=False).residual for v in views]
+    seen = [corner_equations(problem, state, v).residual for v in views]
     return DenseSolution(
         rig=replace(state.rig, covariance=(found + found.T) / 2),
         rt_cam_board=state.poses,

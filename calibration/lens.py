@@ -1,4 +1,4 @@
-"""Lens models. This is the one module that calls mrcal.
+"""Lens models, which are mrcal's.
 
 A lens maps directions to pixels. Directions are points in the camera frame (x right, y down,
 z forward), pixels are (column, row) with (0, 0) at the centre of the first pixel. A projector is a

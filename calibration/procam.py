@@ -30,19 +30,13 @@ from calibration.boards import Chessboard, detect_corners
 from calibration.cross_validation import ModelChoice, choose_model, fit_board_pose
 from calibration.errors import CalibrationError
 from calibration.lens import rotation
-from calibration.mrcal_solve import (
-    LensSolution,
-    discord_of_views,
-    resolve,
-    save_lens,
-    solve_lenses,
-    stored_views,
-    with_noise_of,
-)
+from calibration.mrcal_solution import LensSolution, save_lens, stored_views
+from calibration.mrcal_solve import resolve, solve_lenses, with_noise_of
 from calibration.opencv_files import write_matrices
 from calibration.phase_errors import PhaseErrors, compensate_phase_errors
 from calibration.rig_geometry import CAMERA_FILE, PROJECTOR_FILE, RigGeometry
 from calibration.uncertainty import RigCovariance, rig_covariance
+from calibration.view_seeds import discord_of_views
 
 OPENCV_MODELS = ("LENSMODEL_OPENCV4", "LENSMODEL_OPENCV5", "LENSMODEL_OPENCV8")
 LENS_NAMES = ("camera", "projector")

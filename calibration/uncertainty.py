@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from calibration.errors import CalibrationError
 from calibration.lens import Lens, transform
-from calibration.mrcal_solve import LensSolution, parameter_covariance, projection_covariance
+from calibration.mrcal_covariance import parameter_covariance, projection_covariance
+from calibration.mrcal_solution import LensSolution
 from calibration.rig_geometry import RigGeometry
 from calibration.triangulation import depth_along_rays
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from calibration.gates import covered_cells, normal_spread_deg
 from calibration.lens import Lens, rotation
-from calibration.mrcal_solve import parameter_covariance
+from calibration.mrcal_covariance import parameter_covariance
 from calibration.procam import LENS_NAMES
 from workstation.rig_calibration import CalibratedRig, HeldoutPlane
 

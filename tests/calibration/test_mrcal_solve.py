@@ -6,16 +6,9 @@ import pytest
 
 from calibration.errors import CalibrationError
 from calibration.lens import Lens
-from calibration.mrcal_solve import (
-    load_solution,
-    parameter_covariance,
-    projection_covariance,
-    resolve,
-    save_lens,
-    solve_lenses,
-    solve_without,
-    stored_views,
-)
+from calibration.mrcal_covariance import parameter_covariance, projection_covariance
+from calibration.mrcal_solution import load_solution, save_lens, stored_views
+from calibration.mrcal_solve import resolve, solve_lenses, solve_without
 from workstation.benchmarks.simulated_boards import BOARD, CAMERA, PROJECTOR, simulate_boards
 
 IMAGERS = [CAMERA, PROJECTOR]

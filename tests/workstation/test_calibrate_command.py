@@ -13,7 +13,7 @@ from impasto_command import impasto
 from acquisition.scan import plan_scan, scan
 from acquisition.session_writer import SessionWriter
 from calibration.lens import compose, invert, rt_from_matrix, transform
-from calibration.mrcal_solve import load_solution
+from calibration.mrcal_solution import load_solution
 from calibration.rig_geometry import CAMERA_FILE, PROJECTOR_FILE, RigGeometry
 from devices.simulated.board import make_board
 from devices.simulated.rig import SimulatedRig

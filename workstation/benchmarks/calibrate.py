@@ -23,13 +23,8 @@ from calibration.boards import Chessboard
 from calibration.cross_validation import fit_board_pose
 from calibration.dense_solve import solve_densely
 from calibration.lens import transform
-from calibration.mrcal_solve import (
-    load_solution,
-    resolve,
-    solve_lenses,
-    stored_views,
-    with_noise_of,
-)
+from calibration.mrcal_solution import load_solution, stored_views
+from calibration.mrcal_solve import resolve, solve_lenses, with_noise_of
 from calibration.procam import (
     MeasuredView,
     ProcamCalibration,

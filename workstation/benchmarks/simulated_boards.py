@@ -16,7 +16,7 @@ from acquisition.plan import Imager
 from calibration.board_views import BoardView
 from calibration.boards import Chessboard
 from calibration.lens import compose, invert, rt_from_matrix, transform
-from calibration.mrcal_solve import LensSolution
+from calibration.mrcal_solution import LensSolution
 from calibration.uncertainty import uncertainty_map
 
 CAMERA = Imager(width=1600, height=1200)
