@@ -6,24 +6,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.board_views import BoardView
 from calibration.errors import CalibrationRefusedError
 from calibration.gates import Gate, KnownDistance, check_calibration
-from calibration.procam import ProcamOptions, calibrate_procam
-from workstation.benchmarks.simulated_boards import (
-    BOARD,
-    CAMERA,
-    PROJECTOR,
-    simulate_boards,
-    true_rig,
+from workstation.benchmarks.degenerate_boards import (
+    BOW_MM,
+    TRUE_BASELINE_MM,
+    calibrated,
+    good_boards,
+    half_covered,
+    other_end_in_one_lens,
+    parallel_boards,
+    swapped_corners,
+    warped_board,
+    with_wrong_square,
 )
-
-TRUE_BASELINE_MM = float(np.linalg.norm(true_rig()[1].rt_lens_ref[3:]))
-
-
-def calibrated(views, board=BOARD):
-    options = ProcamOptions(models=("LENSMODEL_OPENCV4",))
-    return calibrate_procam(views, board, camera=CAMERA, projector=PROJECTOR, options=options)
 
 
 def verdict(report, gate):
@@ -32,7 +28,7 @@ def verdict(report, gate):
 
 @pytest.fixture(scope="module")
 def good():
-    return calibrated(simulate_boards(9, seed=1).views)
+    return calibrated(good_boards())
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +75,7 @@ def test_a_length_that_is_hardly_known_tests_nothing(good, baseline):
 
 
 def test_figures_hold_all_that_a_gate_is_judged_by(good):
-    parallel = calibrated(simulate_boards(8, seed=1, tilt=0.0).views)
+    parallel = calibrated(parallel_boards())
     unread = {"pose 10": "no board"}
     for calibration in (good, parallel):
         found = check_calibration(
@@ -109,7 +105,7 @@ def test_poses_without_a_board_are_counted_and_named(good):
 
 
 def test_parallel_boards_are_refused_and_the_missing_tilts_named():
-    report = check_calibration(calibrated(simulate_boards(8, seed=1, tilt=0.0).views))
+    report = check_calibration(calibrated(parallel_boards()))
     missing = verdict(report, Gate.TILT).remedy
     assert "nearly parallel" in missing
     assert "to the left and to the right and upwards and downwards, by 20° to 40°" in missing
@@ -119,7 +115,7 @@ def test_parallel_boards_are_refused_and_the_missing_tilts_named():
 
 
 def test_an_image_covered_on_the_left_alone_is_refused_and_the_right_named():
-    report = check_calibration(calibrated(simulate_boards(9, seed=1, region=0.1).views))
+    report = check_calibration(calibrated(half_covered()))
     refused = verdict(report, Gate.COVERAGE)
     assert "of the camera's image; record poses that fill the right of it" in refused.remedy
     with pytest.raises(CalibrationRefusedError, match=r"coverage: .* fill the right"):
@@ -127,12 +123,7 @@ def test_an_image_covered_on_the_left_alone_is_refused_and_the_right_named():
 
 
 def test_a_pose_whose_corners_are_counted_from_another_end_in_one_lens_is_left_out_by_name():
-    views = list(simulate_boards(9, seed=1).views)
-    one, turned = views[4], views[4].turned()
-    views[4] = BoardView(
-        one.name, (turned.pixels[0], one.pixels[1]), (turned.sigma_px[0], one.sigma_px[1])
-    )
-    calibration = calibrated(views)
+    calibration = calibrated(other_end_in_one_lens())
     assert [view.name for view in calibration.rejected_views] == ["pose 5"]
     assert calibration.solution.rms_per_point_px < 0.2
     report = check_calibration(calibration)
@@ -141,33 +132,22 @@ def test_a_pose_whose_corners_are_counted_from_another_end_in_one_lens_is_left_o
 
 
 def test_a_pose_with_two_corners_swapped_is_left_out_by_name():
-    views = list(simulate_boards(9, seed=1).views)
-    one = views[2]
-    pixels = one.pixels[0].copy()
-    pixels[4, [5, 6]] = pixels[4, [6, 5]]
-    views[2] = BoardView(one.name, (pixels, one.pixels[1]), one.sigma_px)
-    calibration = calibrated(views)
+    calibration = calibrated(swapped_corners())
     report = check_calibration(calibration)
     assert "pose 3 was left out: its corners are" in verdict(report, Gate.VIEWS).remedy
     assert report.passed
 
 
-def test_a_wrong_square_is_refused_by_a_known_baseline_and_the_right_one_named(good, baseline):
-    # All lengths follow the square, so the same views with another one give a scaled rig.
-    wrong = replace(good, board=replace(BOARD, square_mm=20.2))
-    known = KnownDistance(baseline * 1.01, TRUE_BASELINE_MM, 0.2)
-    report = check_calibration(wrong, distances=[known])
+def test_a_wrong_square_is_refused_by_a_known_baseline_and_the_right_one_named(good):
+    report = with_wrong_square(good)
     assert "squares of 20.0" in verdict(report, Gate.SCALE).remedy
     with pytest.raises(CalibrationRefusedError, match=r"20\.200 mm were given: measure the board"):
         report.refuse()
 
 
 def test_a_warped_board_is_flagged_and_its_bow_found():
-    points = BOARD.points.copy()
-    u, v = (points[..., k] / points[..., k].max() * 2 - 1 for k in (0, 1))
-    points[..., 2] = 0.8 * (1 - u**2) + 0.5 * (1 - v**2)
-    calibration = calibrated(simulate_boards(9, seed=1, board_points=points).views)
-    np.testing.assert_allclose(np.abs(calibration.solution.warp_mm), [0.8, 0.5], atol=0.1)
+    calibration = calibrated(warped_board())
+    np.testing.assert_allclose(np.abs(calibration.solution.warp_mm), BOW_MM, atol=0.1)
     report = check_calibration(calibration)
     assert re.search(r"warped by 1\.[234]\d mm", verdict(report, Gate.WARP).remedy)
     assert report.passed

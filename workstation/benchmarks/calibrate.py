@@ -36,6 +36,7 @@ from calibration.rig_geometry import RigGeometry
 from calibration.surface_samples import sample_surface
 from calibration.uncertainty import RigCovariance
 from workstation.benchmark_records import Record, Sense
+from workstation.benchmarks.degenerate_boards import degenerate_records
 from workstation.benchmarks.lights import light_records
 from workstation.benchmarks.registration import registration_records
 from workstation.benchmarks.simulated_boards import (
@@ -67,7 +68,8 @@ def bench(*, seeds: int = 20) -> list[Record]:
         records += procam_records(Path(data) / PROCAM_CAPTURE)
         records += figueroa_records(Path(data) / FIGUEROA)
     records += simulation_records(seeds=seeds) + registration_records(seeds=seeds)
-    return records + light_records(seeds=seeds) + [time_record()]
+    records += light_records(seeds=seeds)
+    return [*records, *degenerate_records(), time_record()]
 
 
 def procam_records(folder: Path) -> list[Record]:
