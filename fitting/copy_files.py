@@ -82,7 +82,7 @@ def write_copy(
     field = copy.height_field
     with folder_in_progress(path, replace=replace) as folder:
         relief: dict[str, NDArray[Any]] = {
-            "height": field.height,
+            "height": _as_half_if_exact(field.height),
             "nx": copy.normal_xy[..., 0].astype(np.float16),
             "ny": copy.normal_xy[..., 1].astype(np.float16),
             "mask": field.mask.astype(np.float16),
@@ -98,6 +98,13 @@ def write_copy(
         beside(folder)
         header = _header(copy) | {"rounding": None if rounding is None else rounding.as_json()}
         (folder / COPY_FILE).write_text(json.dumps(header, indent=1, allow_nan=False))
+
+
+def _as_half_if_exact(values: NDArray[np.float32]) -> NDArray[Any]:
+    """Half floats where they hold every value as it is: rounded heights take half the room so."""
+    with np.errstate(over="ignore"):
+        half = values.astype(np.float16)
+    return half if np.array_equal(half, values) else values
 
 
 def check_destination(path: Path, *, replace: bool) -> None:

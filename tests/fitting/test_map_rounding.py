@@ -3,6 +3,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import OpenEXR
 import pytest
 from synthetic_copy import make_copy, strokes
 
@@ -110,6 +111,21 @@ def test_files_are_smaller_and_the_switch_keeps_every_bit(tmp_path):
     again = read_copy(tmp_path / "rounded")
     np.testing.assert_array_equal(again.height_field.height, rounded.height_field.height)
     np.testing.assert_array_equal(again.reflectance.specular, rounded.reflectance.specular)
+
+
+@pytest.mark.parametrize(("raised_mm", "kind"), [(0.0, "float16"), (900.0, "float32")])
+def test_heights_take_half_the_room_where_that_holds_them(tmp_path, raised_mm, kind):
+    copy = measured()
+    field = copy.height_field
+    raised = dataclasses.replace(field, height=field.height + np.float32(raised_mm))
+    tall = dataclasses.replace(copy, height_field=raised)
+    write_copy(tall, tmp_path / "copy")
+    with OpenEXR.File(str(tmp_path / "copy" / "relief.exr"), separate_channels=True) as file:
+        assert file.channels()["height"].pixels.dtype == kind
+    rounded = MapRounding.of(tall).applied(tall).height_field.height
+    loaded = read_copy(tmp_path / "copy").height_field.height
+    assert loaded.dtype == np.float32
+    np.testing.assert_array_equal(loaded, rounded)
 
 
 def test_rounding_by_hand():
