@@ -73,6 +73,15 @@ float found_by_cones(Track track, float reach, float tolerance, out int steps) {
 }
 #endif
 
+#ifdef PLANE
+void main() {
+    vec2 uv = texture_coordinate(canvas_position.xy);
+    float level = level_of_detail(canvas_position);
+    vec4 relief = textureLod(relief_map, uv, level);
+    if (relief.w < 0.5) MISS(0);
+    show(canvas_position, uv, relief, level, 1.0, 0);
+}
+#else
 void main() {
     vec3 to_plane = canvas_position - to_canvas(cam_pos);
     vec2 drift = to_plane.xy / to_plane.z;  // of the ray per mm of height
@@ -105,9 +114,7 @@ void main() {
     float on_triangle = onto_triangle(z, track, drift);
     z = mix(z, onto_triangle(on_triangle, track, drift), triangle_share);
 #endif
-#ifndef PLANE
     z = mix(canvas_position.z, z, share);
-#endif
     vec2 uv = uv_at(track, z);
     // What was found from the plane is near enough to be shown; where it gives way, so does this.
 #if defined(BETWEEN)
@@ -119,11 +126,10 @@ void main() {
 #endif
     if (relief.w < 0.5) MISS(steps);
     vec3 p = vec3(plane_xy + z * drift, z);
-#ifndef PLANE
     // The surface ends at the outermost texel centres.
     vec2 beyond = abs(uv - 0.5) * vec2(cells + 1) - 0.5 * vec2(cells);
     if (max(beyond.x, beyond.y) > 0.0) MISS(steps);
     gl_FragDepth = depth_of(p);
-#endif
     show(p, uv, relief, level, 1.0, steps);
 }
+#endif
