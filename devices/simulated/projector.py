@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import time
 
-import numpy as np
-
 from devices.deadline import Deadline
 from devices.errors import DeviceError
 from devices.interfaces import Projection, ProjectorCapabilities
@@ -43,7 +41,7 @@ class SimulatedProjector:
 
     def blank(self) -> None:
         """Put the light out: what is left is that of a black picture."""
-        self._scene.show(np.zeros(self.capabilities.size[::-1], np.uint8))
+        self._scene.blank()
 
     def close(self) -> None:
         """Blank the panel."""

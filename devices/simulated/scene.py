@@ -115,7 +115,12 @@ class SimulatedScene:
         self._taken: Counter[bytes] = Counter()
         first = cameras[self.position]
         self._pattern = self.sensor.fixed_pattern(first.width * first.height, seed=seed)
-        self.show(np.zeros((projector.height, projector.width), np.uint8))
+        self.blank()
+
+    def blank(self) -> None:
+        """Put the projector's light out: what is left is that of a black picture."""
+        size = self.projector.height, self.projector.width
+        self._light_panel(np.zeros(size, np.uint8), b"")
 
     def show(self, image: NDArray[np.uint8]) -> None:
         """Put a picture (rows, cols) on the projector's panel.
@@ -130,8 +135,13 @@ class SimulatedScene:
                 f"the simulated panel shows 8-bit pictures of {self.projector.width}×"
                 f"{self.projector.height}, not {image.dtype} of {image.shape[::-1]}"
             )
+        # The proof of a recording's first light blanks the panel, and one that is gone on with
+        # further on needs none: the noise of a black picture must not hang on that.
+        self._light_panel(image, b"" if image.any() else b"a picture")
+
+    def _light_panel(self, image: NDArray[np.uint8], how: bytes) -> None:
         self._shown = self.panel.light(image)
-        self._shown_digest = hashlib.sha256(np.ascontiguousarray(image).tobytes()).digest()
+        self._shown_digest = hashlib.sha256(how + np.ascontiguousarray(image).tobytes()).digest()
 
     def carry_lamp(self, carrier: LampCarrier) -> None:
         """Let the lamp be wherever ``carrier`` says that it mechanically is."""

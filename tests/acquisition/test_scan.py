@@ -62,13 +62,15 @@ class Frozen(Wrapped):
 
 
 class Failing(Wrapped):
-    """A camera that is unplugged after five frames."""
+    """A camera that is unplugged after some frames."""
 
-    count = 0
+    def __init__(self, camera, *, captures=5):
+        super().__init__(camera)
+        self._left = captures
 
     def capture(self, exposure_s, *, deadline=None):
-        self.count += 1
-        if self.count > 5:
+        self._left -= 1
+        if self._left < 0:
             raise KeyboardInterrupt
         return self._device.capture(exposure_s, deadline=deadline)
 
@@ -166,6 +168,25 @@ def test_an_interrupted_scan_leaves_the_projector_dark_and_can_go_on(rig, tmp_pa
         assert writer.missing[0] == "0002"
         scan(writer, devices(rig))
     assert len(Session.open(tmp_path / "s").recorded) == len(plan.frames)
+
+
+def test_cut_off_behind_the_proof_of_its_first_light_a_scan_ends_alike(tmp_path):
+    def afresh():
+        return demo_rig(seed=3, camera_width=60)
+
+    plan = plan_scan(devices(afresh()), exposure_s=0.03, steps=3, axes=(Axis.ROW,))
+    with SessionWriter.create(tmp_path / "whole", plan) as writer:
+        scan(writer, devices(afresh()))
+    rig = afresh()
+    with (
+        pytest.raises(KeyboardInterrupt),
+        SessionWriter.create(tmp_path / "cut", plan) as writer,
+    ):
+        scan(writer, Rig(Failing(rig.camera, captures=4), rig.projector))
+    with SessionWriter.resume(tmp_path / "cut") as writer:
+        assert writer.missing[0] == "0001"
+        scan(writer, devices(afresh()))
+    assert Session.open(tmp_path / "cut").digest == Session.open(tmp_path / "whole").digest
 
 
 def test_a_missed_deadline_is_a_device_error(rig):
