@@ -237,7 +237,7 @@ def test_a_camera_killed_before_it_took_its_exposure_is_lost(process, camera):
     signal.setitimer(signal.ITIMER_REAL, 0.1)
     deadline = Deadline.after(8)
     # What reached it just before it froze was answered: then it is the frame that does not come.
-    with pytest.raises(DeviceLostError, match="the exposure cannot be set|no frame arrives"):
+    with pytest.raises(DeviceLostError, match=r"the exposure cannot be set|no frame arrives"):
         camera.capture(0.01, deadline=deadline)
     assert not deadline.passed
 
