@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.correspondence import CorrespondenceMap
+from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
 from acquisition.patterns import Axis
 from calibration.errors import CalibrationError
 
@@ -173,7 +174,7 @@ def _fit(
         normal = weighted.T @ weighted
         solution = np.linalg.lstsq(normal, weighted.T @ (observed * robust), rcond=None)[0]
         residual = (observed - design @ solution) * weight
-        scale = 1.4826 * float(np.median(np.abs(residual))) + 1e-9
+        scale = MEDIAN_TO_SIGMA * float(np.median(np.abs(residual))) + 1e-9
         robust = weight * np.clip(1 - (residual / (_TUKEY * scale)) ** 2, 0, None)
     # Means of blocks: with white noise their squares, weighted, are 1 on average.
     total = np.bincount(block, robust**2)

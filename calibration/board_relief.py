@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from acquisition.correspondence import CorrespondenceMap
+from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
 from calibration.boards import Chessboard
 from calibration.errors import CalibrationError
 from calibration.rig_geometry import RigGeometry
@@ -34,7 +35,6 @@ _ON_EDGE = 16
 # Points farther off a quadratic through the others are not of the board.
 _OFF_SIGMAS = 8.0
 _LEAST_OFF_MM = 0.05
-_MAD = 1.4826
 # Of the points inside the outline, how many may be off the surface.
 _LARGEST_OFF_SHARE = 0.1
 _LEAST_WHITE = 100
@@ -292,7 +292,9 @@ def _on_surface(on_board: NDArray[np.float64], where: NDArray[np.bool_]) -> NDAr
         weight = 1 / np.maximum(np.abs(z[some] - terms[some] @ fit), 1e-4)
     for _ in range(3):
         off = z - terms @ fit
-        kept = np.abs(off) <= max(_OFF_SIGMAS * _MAD * float(np.median(np.abs(off))), _LEAST_OFF_MM)
+        kept = np.abs(off) <= max(
+            _OFF_SIGMAS * MEDIAN_TO_SIGMA * float(np.median(np.abs(off))), _LEAST_OFF_MM
+        )
         fit = np.linalg.lstsq(terms[kept], z[kept], rcond=None)[0]
     near[where] = kept
     return near
@@ -344,4 +346,4 @@ def _without_polynomial(height: NDArray[np.float64], degree: int) -> NDArray[np.
 def _white_noise(height: NDArray[np.float64]) -> float:
     second = height[:, 2:] - 2 * height[:, 1:-1] + height[:, :-2]
     second = second[np.isfinite(second)]
-    return float(1.4826 * np.median(np.abs(second)) / np.sqrt(6))
+    return float(MEDIAN_TO_SIGMA * np.median(np.abs(second)) / np.sqrt(6))

@@ -31,6 +31,7 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
 from calibration.board_shape import shears, similarities
 from calibration.board_surface import SplineGrid
 from calibration.boards import Chessboard
@@ -164,7 +165,7 @@ class _Weights:
 
 
 def _spread(residual: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(1.4826 * np.nanmedian(np.abs(residual), axis=0))
+    return np.asarray(MEDIAN_TO_SIGMA * np.nanmedian(np.abs(residual), axis=0))
 
 
 def _robust(

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
 from calibration.errors import CalibrationError
 from calibration.lens import Lens
 
@@ -21,7 +22,6 @@ _LEAST_EDGES = 24
 # Of the radius in pixels, how far from a first guess the edge is looked for.
 _SEARCH = 0.12
 _OUTLIER = 4.0
-_MAD = 1.4826
 _ROUNDS = 5
 _STEP_PX = 0.01
 # Of a highlight's height, where it ends.
@@ -120,7 +120,7 @@ def sphere_from_outline(
             )
         w, *_ = np.linalg.lstsq(rays[use], np.ones(int(use.sum())), rcond=None)
         off = rays @ w - 1
-        spread = _MAD * np.median(np.abs(off[use] - np.median(off[use])))
+        spread = MEDIAN_TO_SIGMA * np.median(np.abs(off[use] - np.median(off[use])))
         kept = np.abs(off) <= _OUTLIER * max(spread, 1e-12)
         if (kept == use).all():
             break
@@ -240,7 +240,7 @@ def find_highlight(
     if not disc.any() or not np.isfinite(image[disc]).all():
         raise CalibrationError("no finite picture of the sphere where it was said to be")
     floor = float(np.median(image[disc]))
-    noise = _MAD * float(np.median(np.abs(image[disc] - floor)))
+    noise = MEDIAN_TO_SIGMA * float(np.median(np.abs(image[disc] - floor)))
     top = min(float(image[disc].max()), saturation)
     level = floor + _SPOT_LEVEL * (top - floor)
     if top - floor < 12 * max(noise, 1e-12):

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from acquisition.correspondence import AxisCoordinate, CorrespondenceMap
+from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
 from acquisition.patterns import Axis
 from calibration.errors import CalibrationError
 
@@ -231,7 +232,7 @@ def _robust_fit(
         normal = weighted.T @ weighted
         solution = np.linalg.lstsq(normal, weighted.T @ (observed * robust), rcond=1e-12)[0]
         residual = (observed - design @ solution) * weight
-        scale = 1.4826 * float(np.median(np.abs(residual))) + 1e-12
+        scale = MEDIAN_TO_SIGMA * float(np.median(np.abs(residual))) + 1e-12
         if abs(scale - before) < _SETTLED * scale:
             break
         robust = weight * np.clip(1 - (residual / (_TUKEY * scale)) ** 2, 0, None)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
 from calibration.arm_fit import TargetShading
 from calibration.arm_photographs import ArmPhotographs
 from calibration.errors import CalibrationError
@@ -23,7 +24,6 @@ from calibration.sphere_search import Circle
 _DRAWS = 200
 _DRAWN_FROM = 4000
 _WINDOW = 0.1
-_MAD = 1.4826
 _TOLERANCE_SIGMAS = 5.0
 _LEAST_TOLERANCE_MM = 0.02
 _ERODED_PX = 3
@@ -186,7 +186,7 @@ def _plane(
     off = np.abs(np.einsum("kni,ki->kn", some[None] - corners[:, :1], normals))
     spreads = np.median(off, axis=1)
     best = int(spreads.argmin())
-    kept = off[best] < 4 * _MAD * spreads[best] + 1e-9
+    kept = off[best] < 4 * MEDIAN_TO_SIGMA * spreads[best] + 1e-9
     return _least_squares_plane(some[kept])
 
 
@@ -258,7 +258,7 @@ def _evenly_lit(means: NDArray[np.float64], pixels: NDArray[np.float64]) -> NDAr
         logs = np.log(np.where(lit, level, 1.0))
         found = np.linalg.lstsq(terms[lit], logs[lit], rcond=None)[0]
         off = logs - terms @ found
-        spread = _MAD * float(np.median(np.abs(off[lit])))
+        spread = MEDIAN_TO_SIGMA * float(np.median(np.abs(off[lit])))
         dark = lit & (off < -max(_SHADOW_SIGMAS * spread, _LEAST_SHADOW))
         if not dark.any():
             return lit
