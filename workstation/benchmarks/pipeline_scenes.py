@@ -29,7 +29,7 @@ from devices.simulated.truth import truth_of
 from fitting.digital_copy import DigitalCopy
 from fitting.reflectance.held_out import compare_held_out, pooled_psnr_db
 from fitting.reflectance.lamp_table import LampTable
-from fitting.reflectance.recorded_photographs import PhotographOptions, read_photographs
+from fitting.reflectance.recorded_photographs import read_photographs
 from fitting.reflectance.terrain import Terrain
 from workstation.benchmarks.copies_of_known_shape import dime_heights
 from workstation.demo_recording import MOSAIC, photograph_choices
@@ -142,8 +142,7 @@ class RecordedScene:
         """Process what a capture records."""
         scan, photographs = self._scan(capture), self._photographs(capture)
         lamps = self._lamps(photographs)
-        chosen = replace(options, photographs=PhotographOptions(mosaic=MOSAIC))
-        done = process_session(scan, options=chosen, stages=stages)
+        done = process_session(scan, options=options, stages=stages)
         return add_photographs(done, photographs, lamps)
 
     def measure(
@@ -195,7 +194,6 @@ class RecordedScene:
                 LampTable.load(self._lamps(self._judges)),
                 copy.height_field.rt_cam_canvas,
                 scratch=Path(scratch),
-                options=PhotographOptions(mosaic=MOSAIC),
             )
             around = surroundings_of(copy, done.surface)
             terrain = Terrain.of(copy.height_field, surroundings=around)
