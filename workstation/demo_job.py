@@ -13,6 +13,7 @@ from devices.simulated.rig import SimulatedRig
 from fitting.digital_copy import DigitalCopy
 from fitting.reflectance.lamp_table import LampTable
 from workstation.copy_writing import read_run, run_file, write_processed, write_run
+from workstation.demo_bounds import bounds_section, demo_records
 from workstation.demo_processing import (
     LAMPS_FILE,
     RIG_FOLDER,
@@ -167,6 +168,17 @@ def run_demo(
         processed, copy, {"quality": str(Quality.NORMAL), "expected_seconds": EXPECTED_S[size]}
     )
 
+    def gathered() -> dict[str, Any]:
+        return processed.figures | {
+            "size": str(size),
+            "seed": seed,
+            "calibration": calibration,
+            "truth": truth.figures(),
+            "stages": [vars(one) for one in stages.runs],
+            "peak_mb": max(one.peak_mb for one in stages.runs),
+            "total_seconds": round(time.perf_counter() - started, 2),
+        }
+
     def write_report() -> None:
         run = (read_run(copy) or {}) | {"stages": [vars(one) for one in stages.runs]}
         write_json(run_file(copy), run)
@@ -177,20 +189,17 @@ def run_demo(
             photographs=Session.open(sessions / PHOTOGRAPHS_SESSION),
             run=run,
             view_px=capture.render_px,
-            more=(truth.section(processed.copy), _calibration_section(calibration)),
+            more=(
+                truth.section(processed.copy),
+                bounds_section(demo_records(gathered())),
+                _calibration_section(calibration),
+            ),
             height_mm=truth.heights.observed_rms_mm,
         )
 
     stages.run(REPORT, write_report)
-    figures = processed.figures | {
-        "size": str(size),
-        "seed": seed,
-        "calibration": calibration,
-        "truth": truth.figures(),
-        "stages": [vars(one) for one in stages.runs],
-        "peak_mb": max(one.peak_mb for one in stages.runs),
-        "total_seconds": round(time.perf_counter() - started, 2),
-    }
+    figures = gathered()
+    figures["bounds"] = [record.as_json() for record in demo_records(figures)]
     write_json(folder / REPORT_FILE, figures)
     return figures
 

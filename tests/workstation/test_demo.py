@@ -51,13 +51,19 @@ def test_the_demo_is_as_accurate_as_it_predicts(made):
     assert len(list((made / "renders").glob("*.png"))) == 6
     assert {"decoding", "fitting the reflectance"} <= {s["name"] for s in figures["stages"]}
     assert figures["peak_mb"] < 3000
+    bounds = {record["name"]: record for record in figures["bounds"]}
+    assert bounds["demo.height_rms_over_predicted"]["holds"]
+    assert bounds["demo.peak_mb"]["value"] == figures["peak_mb"]
+    # Of texels this coarse, and a rig that is declared.
+    assert not bounds["demo.heldout_psnr_db"]["holds"]
+    assert "demo.stereo_px" not in bounds
 
 
 def test_its_report_has_every_part_and_the_copy_its_reflectance(made):
     page = (made / "index.html").read_text()
     for part in (
         *("Photographs kept out", "Against the truth", "Reflectance", "Stages", "Views"),
-        "Run time against error",
+        *("Run time against error", "Figures and bounds"),
     ):
         assert f"<h2>{part}</h2>" in page
     assert page.count('type="range"') == 2
