@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from acquisition.frame_files import Samples
+from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
 from acquisition.plan import PlannedFrame, Purpose
 from acquisition.session import Session
 
@@ -80,7 +81,7 @@ def _ratio(
         return None
     ratios = (image[valid] - black_level) / (reference[valid] - black_level)
     median = float(np.median(ratios))
-    spread = 1.4826 * float(np.median(np.abs(ratios - median)))
+    spread = MEDIAN_TO_SIGMA * float(np.median(np.abs(ratios - median)))
     # The median of normal samples has π/2 times the variance of their mean.
     return median, float(np.sqrt(np.pi / 2 / ratios.size)) * spread
 

@@ -22,6 +22,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
 from calibration.lens import rt_from_matrix
 from fitting.canvas_kernels import find_smooth, heights_above_plane
 from fitting.canvas_region import disc, erode_outline, find_region, outline_pixels
@@ -226,7 +227,7 @@ def _trimmed_plane(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], ND
         centre, normal = _plane(kept)
         off = (thin - centre) @ normal
         middle = np.median(off)
-        spread = 1.4826 * np.median(np.abs(off - middle))
+        spread = MEDIAN_TO_SIGMA * np.median(np.abs(off - middle))
         inside = np.abs(off - middle) <= 4 * spread + 1e-12
         if inside.sum() == len(kept) or inside.sum() < 10:
             break
@@ -266,7 +267,7 @@ def _spikes(
     mean = cv2.boxFilter(height * weight, -1, (5, 5), normalize=False)
     filled = np.where(mask, height, mean / np.maximum(around, 1))
     off = np.abs(filled - cv2.medianBlur(filled, 5))
-    roughness = np.float32(1.4826) * cv2.medianBlur(off, 5)
+    roughness = np.float32(MEDIAN_TO_SIGMA) * cv2.medianBlur(off, 5)
     noise = np.where(mask, variance, np.float32(0)) + roughness * roughness
     return np.asarray(mask & (off * off > np.float32(sigmas**2) * noise))
 

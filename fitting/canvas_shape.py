@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
 from fitting.height_field import HeightField
 
 _BLOCKS = 32
@@ -149,7 +150,7 @@ def _fit(
         root = np.sqrt(weight)
         model = np.linalg.lstsq(terms * root[:, np.newaxis], height * root, rcond=None)[0]
         off = np.abs(height - terms @ model)
-        limit = float(1.5 * 1.4826 * np.median(off))
+        limit = float(1.5 * MEDIAN_TO_SIGMA * np.median(off))
         if not limit > 0:
             break
         weight = np.minimum(1.0, limit / np.maximum(off, 1e-3 * limit))

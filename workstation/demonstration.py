@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
 from acquisition.scan import plan_scan, scan
 from acquisition.session_writer import SessionWriter
 from calibration.lens import Lens, compose, invert, rt_from_matrix, transform
@@ -99,7 +100,7 @@ def measure_height_error(
         float(np.sqrt(np.mean(error**2))),
         float(np.sqrt(np.mean(sigma**2))),
         float(np.mean(error)),
-        float(1.4826 * np.median(np.abs(error / sigma))),
+        float(MEDIAN_TO_SIGMA * np.median(np.abs(error / sigma))),
         len(error),
         int(beyond.sum()),
     )
@@ -136,7 +137,8 @@ def align_to_truth(copy: DigitalCopy, rig: SimulatedRig) -> NDArray[np.float64]:
         normal = np.stack([-slope_x, -slope_y, np.ones_like(z)], axis=1)
         lever = np.concatenate([np.cross(points, normal), normal], axis=1)
         # Edges of strokes, which texels cut off, shall not pull.
-        usual = np.abs(off - np.median(off)) < 4 * 1.4826 * np.median(np.abs(off - np.median(off)))
+        apart = np.abs(off - np.median(off))
+        usual = apart < 4 * MEDIAN_TO_SIGMA * np.median(apart)
         move = -np.linalg.lstsq(lever[usual], off[usual], rcond=None)[0]
         pose = compose(move, pose)
     return pose

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
 from fitting.reflectance.materials import Material
 from fitting.reflectance.samples import RadianceSamples
 from fitting.reflectance.shared_lobe import PooledProblem, fit_pooled
@@ -48,7 +49,7 @@ def gaussian_population(
     p = estimates.shape[1]
     floor = np.diag(smallest_sd**2)
     mean = np.median(estimates, axis=0)
-    spread = 1.4826 * np.median(np.abs(estimates - mean), axis=0)
+    spread = MEDIAN_TO_SIGMA * np.median(np.abs(estimates - mean), axis=0)
     covariance = np.diag(np.maximum(spread, smallest_sd) ** 2)
     for _ in range(_ITERATIONS):
         gain = covariance @ np.linalg.inv(covariance + covariances)
@@ -149,7 +150,7 @@ def with_varying_highlight(
     if known.sum() < _FEWEST_TEXELS:
         return material
     mean = np.median(values[known], axis=0)
-    spread = 1.4826 * np.median(np.abs(values[known] - mean), axis=0)
+    spread = MEDIAN_TO_SIGMA * np.median(np.abs(values[known] - mean), axis=0)
     smallest = _SMALLEST_SPECULAR_SD * max(float(mean.max()), 1e-300)
     return replace(varying, specular_mean=mean, specular_sd=np.maximum(spread, smallest))
 
@@ -170,7 +171,7 @@ def with_specular_prior(
     # Texels that the highlight hardly reached say little of its height, however much they ask for.
     certainty = 1.0 / np.maximum(fits.standard_errors[seen, 6:].max(axis=1), 1e-300) ** 2
     mean = _weighted_median(values, certainty)
-    spread = 1.4826 * _weighted_median(np.abs(values - mean), certainty)
+    spread = MEDIAN_TO_SIGMA * _weighted_median(np.abs(values - mean), certainty)
     own = np.sqrt(_weighted_median(fits.standard_errors[seen, 6:] ** 2, certainty))
     smallest = _SMALLEST_SPECULAR_SD * max(float(mean.max()), 1e-300)
     variation = np.sqrt(np.maximum(spread**2 - own**2, 0.0))
