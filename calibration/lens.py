@@ -310,8 +310,14 @@ def rt_from_matrix(
 
 
 def compose(rt_a_b: NDArray[np.float64], rt_b_c: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Pose ``rt_a_c`` of ``rt_a_b`` after ``rt_b_c``, (6,) each."""
-    return np.asarray(mrcal.compose_rt(rt_a_b, rt_b_c))
+    """Pose ``rt_a_c`` of ``rt_a_b`` after ``rt_b_c``, (6,) each; never more than half a turn."""
+    composed = np.array(mrcal.compose_rt(rt_a_b, rt_b_c))
+    # Between cameras that stand head down to one another mrcal goes the long way round: their
+    # difference, however small, would be nearly a whole turn.
+    angle = np.linalg.norm(composed[:3])
+    if angle > np.pi:
+        composed[:3] *= 1 - 2 * np.pi / angle
+    return composed
 
 
 def invert(rt_a_b: NDArray[np.float64]) -> NDArray[np.float64]:

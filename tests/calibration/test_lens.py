@@ -41,6 +41,15 @@ def test_rays_project_back_and_gradients_agree_with_differences(rig_geometry):
         np.testing.assert_allclose(gradient[..., axis], numeric, atol=1e-6)
 
 
+def test_a_small_turn_between_poses_that_stand_head_down_is_small():
+    small = np.array([1e-3, -2e-3, 5e-4, 1.0, 2.0, 3.0])
+    head_down = np.array([0, 0, np.pi, 0, 0, 0])
+    there_and_back = compose(compose(small, head_down), head_down)
+    np.testing.assert_allclose(there_and_back, small, atol=1e-12)
+    turned = compose(np.array([2.9, 0, 0, 0, 0, 0]), np.array([2.9, 0, 0, 0, 0, 0]))
+    np.testing.assert_allclose(turned[:3], [5.8 - 2 * np.pi, 0, 0], atol=1e-12)
+
+
 def test_poses_compose_as_their_names_say():
     random = np.random.default_rng(2)
     rt_a_b, rt_b_c = random.normal(size=(2, 6))
