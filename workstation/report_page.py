@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import base64
+import re
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
+from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
 from acquisition.atomic_files import write_bytes
@@ -102,13 +104,35 @@ def write_page(
 
 def page_templates() -> Environment:
     """The templates that pages are made from."""
-    return Environment(
+    environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent / "templates"),
         autoescape=select_autoescape(default=True),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["typeset"] = typeset
+    return environment
+
+
+def typeset(text: object) -> Markup:
+    """A text as HTML, its numbers and symbols as they are printed.
+
+    Negative numbers get a minus sign, digits from 10 000 on stand in threes, and the indices of ρ
+    and δ are lowered.
+    """
+    said = str(escape(text))
+    said = re.sub(r"(?<![\w.)])-(?=\.?\d)", "\N{MINUS SIGN}", said)
+    said = re.sub(
+        r"(?<![\w.#])[1-9]\d{4,}(?![\w.])",
+        lambda number: f"{int(number[0]):,}".replace(",", "\N{NARROW NO-BREAK SPACE}"),
+        said,
+    )
+    return Markup(re.sub(r"ρ_([ds])|δ(0)", _lowered, said))
+
+
+def _lowered(symbol: re.Match[str]) -> str:
+    return f"{symbol[0][0]}<sub>{symbol[1] or symbol[2]}</sub>"
 
 
 def figure_png(figure: Figure, *, dpi: float) -> bytes:
