@@ -234,61 +234,44 @@ class ArmProblem:
         light = fall_off(places, axes, arm.exponent, shading.points) * cosine
         return np.asarray(light[..., np.newaxis] * arm.intensity * (shading.albedo / np.pi))
 
-    def shading_excess(self, numbers: NDArray[np.float64]) -> float:
+    def shading_excess(self, numbers: NDArray[np.float64], alone: NDArray[np.float64]) -> float:
         """By how much the target is off beyond what noise explains, mean square; 1 if by chance.
 
-        Asked of an arm whose place was fitted to the highlights alone, and then its lamp to the
-        target. A target that is not matt is off by something smooth, which neighbouring points
-        share; so what is off in level, slope and bend at each pose is held against noise too, and
-        the larger ratio counts.
+        A likelihood ratio (S. S. Wilks, 1938): what the sum of squares of an arm fitted to
+        everything is beyond that of one fitted without the target, with as many degrees of freedom
+        as the target has samples, less the lamp's numbers. A target that is not matt is off by
+        something smooth, which neighbouring points share; so what is off in level, slope and bend
+        at each pose is held against noise by itself too, and the larger ratio counts.
+
+        Parameters
+        ----------
+        numbers : (n,) array
+            Fitted to everything, with the variances of the target as given.
+        alone : (n,) array
+            Fitted to all but the target.
         """
         from scipy.stats import chi2
 
-        residuals, by_number = self._shading_alone(numbers)
+        residuals = self.shading_residuals(self.split(numbers)[0])
         known = np.isfinite(residuals)
         poses = int(known.any(axis=(1, 2)).sum())
         free = 1 if self.shading.gains_unknown else 0
         alike = 1 / 3 if self.shading.is_monochrome else 1.0
-        # What the lamp's numbers take up is no misfit; what the highlights leave uncertain is none.
-        taken, _ = np.linalg.qr(by_number[LAMP][:, known].T)
-        flat = by_number[:, known].T
-        left = np.zeros_like(by_number)
-        left[:, known] = (flat - taken @ (taken.T @ flat)).T
-        placed = replace(self, excess=np.inf, lamp_only=False).jacobian(numbers)
-        spread, axes = np.linalg.eigh(np.linalg.pinv(placed.T @ placed, hermitian=True))
-        root = axes * np.sqrt(np.maximum(spread, 0))
-        fitted = np.zeros((taken.shape[1], *known.shape))
-        fitted[:, known] = taken.T
-        smooth = np.stack([self._smooth_parts(np.where(known, one, np.nan)) for one in left], 1)
-        of_lamp = np.stack([self._smooth_parts(np.where(known, one, np.nan)) for one in fitted], 1)
-        count = alike * (known.sum() - 3 * free * len(self.shading.points)) - taken.shape[1]
-        smooth_count = len(smooth) * (1 - free / max(poses, 1)) - float(np.sum(of_lamp**2))
-        single = _consistency(residuals[known], left[:, known].T @ root)
-        together = self._smooth_parts(residuals)
-        shared = _consistency(together, smooth @ root)
+        without = replace(self, excess=np.inf)
+        pulled = float(
+            np.sum(without.residuals(numbers) ** 2) - np.sum(without.residuals(alone) ** 2)
+        )
+        smooth = self._smooth_parts(residuals)
+        total = pulled + float(np.sum(residuals[known] ** 2))
+        shared = pulled + float(smooth @ smooth)
+        fitted = LAMP.stop - LAMP.start
+        count = alike * known.sum() - free * len(self.shading.points) - fitted
+        smooth_count = len(smooth) * (1 - free / max(poses, 1)) - fitted
         ratios = [1.0]
-        if chi2.sf(single, max(count, 1.0)) < _CHANCE:
-            ratios.append(single / max(count, 1.0))
-        if chi2.sf(shared, max(smooth_count, 1.0)) < _CHANCE:
-            # It would move the arm for something else: the highlights are to be believed.
-            ratios.append(float(together @ together) / max(smooth_count, 1.0))
+        for found, freedom in ((total, count), (shared, smooth_count)):
+            if chi2.sf(found, max(freedom, 1.0)) < _CHANCE:
+                ratios.append(found / max(freedom, 1.0))
         return max(ratios)
-
-    def _shading_alone(
-        self, numbers: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Residuals of the target with the variances given, and their derivatives by each number.
-
-        The derivatives are zero where nothing is known.
-        """
-        given = replace(self, excess=1.0)
-
-        def at(where: NDArray[np.float64]) -> NDArray[np.float64]:
-            return given.shading_residuals(given.split(where)[0])
-
-        steps = np.diag(_STEP * np.maximum(1.0, np.abs(numbers)))
-        slopes = [(at(numbers + step) - at(numbers - step)) / (2 * step.sum()) for step in steps]
-        return at(numbers), np.nan_to_num(np.array(slopes))
 
     def _smooth_parts(self, residuals: NDArray[np.float64]) -> NDArray[np.float64]:
         """Level, slope and bend of residuals (poses, points, 3) over the target, unit variances."""
@@ -306,8 +289,19 @@ class ArmProblem:
 
     def residuals(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
         """All of them, the spheres' outlines and what is known of any arm among them."""
+        return self._with_shading(numbers, self._lit(numbers))
+
+    def _lit(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The target's residuals, (m,); none where the target is left out."""
+        if np.isinf(self.excess):
+            return np.zeros(0)
+        return self.shading_residuals(self.split(numbers)[0]).ravel()
+
+    def _with_shading(
+        self, numbers: NDArray[np.float64], lit: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
         arm, moves = self.split(numbers)
-        parts = [self.misses(numbers).ravel(), self.shading_residuals(arm).ravel()]
+        parts = [self.misses(numbers).ravel(), lit]
         for one, move in zip(self.highlights, moves, strict=True):
             parts.append(_whitened(one, move))
         parts.append(arm.prior_residuals())
@@ -316,15 +310,18 @@ class ArmProblem:
 
     def jacobian(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
         """Derivative of the residuals, by central differences."""
-        columns = []
-        for number, value in enumerate(numbers):
+        jacobian = np.zeros((len(self.residuals(numbers)), len(numbers)))
+        here, moves = self._lit(numbers), 3 * len(self.highlights)
+        for number in range(len(numbers))[LAMP if self.lamp_only else slice(None)]:
             step = np.zeros_like(numbers)
-            step[number] = _STEP * max(1.0, abs(value))
-            ends = self.residuals(numbers + step) - self.residuals(numbers - step)
-            columns.append(ends / (2 * step[number]))
-        jacobian = np.stack(columns, axis=1)
-        if self.lamp_only:
-            jacobian[:, np.delete(np.arange(len(numbers)), LAMP)] = 0.0
+            step[number] = _STEP * max(1.0, abs(numbers[number]))
+            # Where the spheres are, the target does not tell.
+            arm_moves = number < len(numbers) - moves
+            ends = [
+                self._with_shading(at, self._lit(at) if arm_moves else here)
+                for at in (numbers + step, numbers - step)
+            ]
+            jacobian[:, number] = (ends[0] - ends[1]) / (2 * step[number])
         return jacobian
 
     def minimise(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -394,10 +391,3 @@ def _whitened(one: SphereHighlights, move: NDArray[np.float64]) -> NDArray[np.fl
     """A sphere's move (3,) in standard errors of its outline."""
     root = np.linalg.cholesky(one.sphere.covariance + 1e-12 * np.eye(3))
     return np.asarray(np.linalg.solve(root, move))
-
-
-def _consistency(residuals: NDArray[np.float64], lever: NDArray[np.float64]) -> float:
-    """Sum of squares of residuals (n,), some of it taken up by numbers of unit variance."""
-    pull = lever.T @ residuals
-    taken = np.linalg.solve(np.eye(len(pull)) + lever.T @ lever, pull)
-    return float(residuals @ residuals - pull @ taken)

@@ -157,17 +157,22 @@ def fit_light_arm(
     if wild.any():
         base = base.of_highlights(wild)
         numbers = base.minimise(numbers)
+    placed = numbers
     lamp = base.of_lamp()
-    placed, _ = lamp.split(numbers)
-    numbers[: len(placed.as_array())] += _lamp_step(placed, problem.poses, shading)
+    arm, _ = lamp.split(placed)
+    numbers = placed.copy()
+    numbers[: len(arm.as_array())] += _lamp_step(arm, problem.poses, shading)
     numbers = lamp.minimise(numbers)
     # A target that agrees with the highlights tells of the place too. One that does not errs alike
-    # under all poses, which no weight of single samples accounts for: it would move the arm.
-    excess = lamp.shading_excess(numbers)
-    everything = lamp.of_all(excess)
+    # under all poses, which no weight of single samples accounts for: it would move the arm. Where
+    # the highlights leave the arm is no place to ask: the lamp's numbers go far astray with it.
+    everything = lamp.of_all(1.0)
     together = everything.minimise(numbers)
+    excess = everything.shading_excess(together, placed)
     if excess == 1:
         return _result(everything, everything, together, excess=excess)
+    everything = lamp.of_all(excess)
+    together = everything.minimise(numbers)
     numbers = _with_lamp_of(together, numbers, everything)
     return _result(everything, base, numbers, excess=excess)
 

@@ -42,6 +42,14 @@ def test_without_noise_the_arm_is_found_exactly():
     )
 
 
+def test_a_matt_target_is_believed_where_the_highlights_alone_leave_the_lamp_astray():
+    # By its highlights alone this arm's lamp has an exponent of 2 instead of 6.
+    seen = see_arm(seed=5)
+    arm = seen.fit()
+    assert arm.shading_excess == 1
+    assert direction_errors(seen, arm)[0].max() < 0.1
+
+
 def test_the_lamp_lights_the_target_as_it_was_seen(seen, fitted):
     pose = seen.poses[7]
     lamp, target = fitted.lamp(pose), seen.shading
