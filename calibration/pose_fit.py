@@ -94,7 +94,11 @@ class _System:
     @property
     def squares(self) -> NDArray[np.float64]:
         """(pairs,) squares of the residuals over their variance."""
-        return np.einsum("ni,nij,nj->n", self.residuals, self.weight, self.residuals)
+        return self.squares_under(self.weight)
+
+    def squares_under(self, weight: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(pairs,) squares of the residuals under inverse covariances (pairs, 2, 2)."""
+        return np.einsum("ni,nij,nj->n", self.residuals, weight, self.residuals)
 
     def gradients(self) -> NDArray[np.float64]:
         """(pairs, parameters) terms of the gradient."""
@@ -207,7 +211,11 @@ def _refined(
         moved = _moved(lens, pose, step)
         trial = None if moved is None else _system(pairs, *moved, free_lens)
         cost = np.minimum(system.squares, limit).sum()
-        after = np.inf if trial is None else np.minimum(trial.squares, limit).sum()
+        # Under the weights by which the step was found: they change a little with the pose, and
+        # the step that ends their gradient may lead up in squares under other ones.
+        after = np.inf
+        if trial is not None:
+            after = np.minimum(trial.squares_under(system.weight), limit).sum()
         if not after <= cost * (1 + 1e-12):
             damping *= 10
             if damping > 1e8:

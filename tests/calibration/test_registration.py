@@ -13,9 +13,10 @@ from acquisition.recording import record_plan
 from acquisition.session import Session
 from acquisition.session_writer import SessionWriter
 from calibration.code_blocks import find_blocks
-from calibration.code_pairs import pair_by_code
+from calibration.code_pairs import CodePairs, pair_by_code
 from calibration.errors import CalibrationError, RegistrationError
 from calibration.lens import Lens, compose, invert, rotation, rt_from_matrix, transform
+from calibration.pose_fit import fit_pose
 from calibration.registration import RegistrationOptions, register_photographs, register_view
 from calibration.rig_geometry import RigGeometry
 from devices.simulated.optics import SimulatedLens
@@ -24,6 +25,7 @@ from devices.simulated.scene import SimulatedScene
 from devices.simulated.scene_objects import PlacedSurface, Wall
 from devices.simulated.sensor import Sensor
 from devices.simulated.surface import Surface
+from workstation.benchmarks.analytic_scans import surface_rig
 from workstation.benchmarks.simulated_photographs import (
     OTHER_LENS,
     RIG,
@@ -172,6 +174,28 @@ def test_the_canvas_frame_composes(scan, shot):
     np.testing.assert_allclose(through, view.project(transform(rt_rig_canvas, points)))
     np.testing.assert_allclose(view.position, invert(LEFT)[3:], atol=0.05)
     assert view.texture_covariance(transform(rt_rig_canvas, points)).shape == (2, 2, 2)
+
+
+def test_a_pose_is_the_same_in_whatever_frame_the_points_are():
+    rig = surface_rig(240)
+    seen = [
+        photograph(pose, seed=seed, rig=rig, lens=rig.camera)
+        for seed, pose in enumerate((HERE, LEFT))
+    ]
+    pairs = pair_by_code(seen[1], seen[0], rig)
+    fit = fit_pose(pairs, rig.camera)
+    spread = np.linalg.cholesky(fit.covariance)
+    random = np.random.default_rng(0)
+    for _ in range(3):
+        axis = random.normal(size=3)
+        turn = axis / np.linalg.norm(axis) * random.uniform(0, np.pi)
+        moved = np.concatenate([turn, random.uniform(-1000, 1000, 3)])
+        covariance = rotation(moved) @ pairs.covariance @ rotation(moved).T
+        elsewhere = CodePairs(transform(moved, pairs.points), covariance, pairs.pixels)
+        pose = compose(fit_pose(elsewhere, rig.camera).rt_cam_ref, moved)
+        error = compose(pose, invert(fit.rt_cam_ref))
+        # A fit ends where a step promises less than 1e-5 of the largest square of an inlier, 16.
+        assert np.linalg.norm(np.linalg.solve(spread, error)) < 2 * np.sqrt(16e-5)
 
 
 def test_too_little_in_common_is_refused(scan, shot):
