@@ -8,6 +8,7 @@ its square root, which is about how eyes and screens see it.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -72,26 +73,42 @@ def draw_contact_sheet(session: Session) -> tuple[NDArray[np.uint8], list[FrameF
     SessionError
         A frame was altered or is missing.
     """
-    plan = session.plan
-    scale = _THUMBNAIL_PX / max(plan.crop.width, plan.crop.height)
-    size = (max(1, round(plan.crop.width * scale)), max(1, round(plan.crop.height * scale)))
-    samples: dict[str, Samples] = {}
-    thumbnails: dict[str, NDArray[np.uint8]] = {}
-    measured: list[tuple[PlannedFrame, float]] = []
-    for frame in session.frames:
-        image = session.read_frame(frame.id)
-        share = np.sqrt(np.minimum(image / plan.saturation_level, 1.0).astype(np.float32))
-        small = cv2.resize(share, size, interpolation=cv2.INTER_AREA)
-        thumbnails[frame.id] = np.round(255 * small).astype(np.uint8)
-        measured.append((frame, float(np.mean(image >= plan.saturation_level))))
-        if isinstance(frame.pattern, PhaseShift):
-            samples[frame.id] = _sparse(image)
-    modulation = _modulations(session, samples)
-    figures = [
-        FrameFigures(frame.id, session.exposure_s(frame.id), saturated, modulation.get(frame.id))
-        for frame, saturated in measured
+    thumbnails, figures = _look_at(session)
+    frames = session.plan.frames
+    height, width = _place_px(session)
+    columns = min(len(frames), max(6, math.ceil(math.sqrt(len(frames) * height / width))))
+    return _lay_out(session, frames, thumbnails, figures, columns), figures
+
+
+def draw_contact_sheets(
+    session: Session, *, columns: int, rows: int
+) -> tuple[list[NDArray[np.uint8]], list[FrameFigures]]:
+    """Draw a session on sheets that can be read on a page, in the order of the plan.
+
+    Parameters
+    ----------
+    session : Session
+    columns, rows : int
+        Of frames on a sheet, at most.
+
+    Returns
+    -------
+    list of (rows, cols) uint8 arrays
+    list of FrameFigures
+        Of the recorded frames, in the order of the plan.
+
+    Raises
+    ------
+    SessionError
+        A frame was altered or is missing.
+    """
+    thumbnails, figures = _look_at(session)
+    frames, count = session.plan.frames, columns * rows
+    sheets = [
+        _lay_out(session, frames[n : n + count], thumbnails, figures, columns)
+        for n in range(0, len(frames), count)
     ]
-    return _lay_out(session, thumbnails, {f.id: f for f in figures}, size), figures
+    return sheets, figures
 
 
 def write_contact_sheet(session: Session) -> list[FrameFigures]:
@@ -124,6 +141,40 @@ def write_contact_sheet(session: Session) -> list[FrameFigures]:
     return figures
 
 
+def _look_at(session: Session) -> tuple[dict[str, NDArray[np.uint8]], list[FrameFigures]]:
+    """Thumbnails and figures of the recorded frames."""
+    plan = session.plan
+    rows, cols = _thumbnail_px(session)
+    samples: dict[str, Samples] = {}
+    thumbnails: dict[str, NDArray[np.uint8]] = {}
+    measured: list[tuple[PlannedFrame, float]] = []
+    for frame in session.frames:
+        image = session.read_frame(frame.id)
+        share = np.sqrt(np.minimum(image / plan.saturation_level, 1.0).astype(np.float32))
+        small = cv2.resize(share, (cols, rows), interpolation=cv2.INTER_AREA)
+        thumbnails[frame.id] = np.round(255 * small).astype(np.uint8)
+        measured.append((frame, float(np.mean(image >= plan.saturation_level))))
+        if isinstance(frame.pattern, PhaseShift):
+            samples[frame.id] = _sparse(image)
+    modulation = _modulations(session, samples)
+    return thumbnails, [
+        FrameFigures(frame.id, session.exposure_s(frame.id), saturated, modulation.get(frame.id))
+        for frame, saturated in measured
+    ]
+
+
+def _thumbnail_px(session: Session) -> tuple[int, int]:
+    """Rows and columns of a thumbnail."""
+    crop = session.plan.crop
+    scale = _THUMBNAIL_PX / max(crop.width, crop.height)
+    return max(1, round(crop.height * scale)), max(1, round(crop.width * scale))
+
+
+def _place_px(session: Session) -> tuple[int, int]:
+    """Rows and columns that a thumbnail takes with its lines."""
+    return _thumbnail_px(session)[0] + _LINES * _LINE_PX + _GAP_PX, _THUMBNAIL_PX + _GAP_PX
+
+
 def _sparse(image: Samples) -> Samples:
     """Some samples of a frame, spread over it, at the same places in every frame."""
     step = max(1, math.isqrt(image.size // _SAMPLES))
@@ -152,24 +203,24 @@ def _modulations(session: Session, samples: dict[str, Samples]) -> dict[str, flo
 
 def _lay_out(
     session: Session,
+    frames: Sequence[PlannedFrame],
     thumbnails: dict[str, NDArray[np.uint8]],
-    figures: dict[str, FrameFigures],
-    size: tuple[int, int],
+    figures: list[FrameFigures],
+    columns: int,
 ) -> NDArray[np.uint8]:
-    frames = session.plan.frames
-    width, height = _THUMBNAIL_PX + _GAP_PX, size[1] + _LINES * _LINE_PX + _GAP_PX
-    columns = min(len(frames), max(6, math.ceil(math.sqrt(len(frames) * height / width))))
+    told = {one.id: one for one in figures}
+    (tall, wide), (height, width) = _thumbnail_px(session), _place_px(session)
     rows = math.ceil(len(frames) / columns)
     sheet = np.full((rows * height + _GAP_PX, columns * width + _GAP_PX), _PAPER, np.uint8)
     for number, frame in enumerate(frames):
         top = number // columns * height + _GAP_PX
         left = number % columns * width + _GAP_PX
         if frame.id in thumbnails:
-            sheet[top : top + size[1], left : left + size[0]] = thumbnails[frame.id]
+            sheet[top : top + tall, left : left + wide] = thumbnails[frame.id]
         else:
-            cv2.rectangle(sheet, (left, top), (left + size[0] - 1, top + size[1] - 1), (70,), 1)
-        for line, text in enumerate(_caption(session, frame, figures.get(frame.id)), start=1):
-            place = (left, top + size[1] + line * _LINE_PX - 3)
+            cv2.rectangle(sheet, (left, top), (left + wide - 1, top + tall - 1), (70,), 1)
+        for line, text in enumerate(_caption(session, frame, told.get(frame.id)), start=1):
+            place = (left, top + tall + line * _LINE_PX - 3)
             cv2.putText(sheet, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.34, (_INK,), 1, cv2.LINE_AA)
     return sheet
 

@@ -31,8 +31,8 @@ from workstation.calibration_plots import (
 )
 from workstation.json_output import write_json
 from workstation.light_calibration import CalibratedLights
-from workstation.report_page import Picture, Section, Table, page_templates, write_page
-from workstation.report_sections import ReportSections, srgb_code
+from workstation.report_page import Picture, Section, Table, anchor, page_templates, write_page
+from workstation.report_sections import LightSection, ReportSections, srgb_code
 from workstation.rig_calibration import CalibratedRig
 from workstation.section_plots import flat_field_picture, light_picture, response_picture
 
@@ -66,10 +66,14 @@ def write_report(
     figures = figures or calibration_figures(done)
     environment = page_templates()
     environment.filters["srgb"] = srgb_code
+    environment.filters["anchor"] = anchor
     page = environment.get_template("calibration.html").render(
         figures=figures,
         verdict=_verdict(done.gates),
+        gates=_gate_table(done.gates),
         light_verdict=None if light_gates is None else _verdict(light_gates),
+        light_gates=None if light_gates is None else _gate_table(light_gates),
+        lights=None if sections.lights is None else _light_table(sections.lights),
         summary=_summary(figures),
         parameters=_parameters(figures),
         pictures=_pictures(done),
@@ -105,7 +109,7 @@ def write_light_report(lights: CalibratedLights, sections: ReportSections, folde
         Section("Gates", tables=(_gate_table(lights.gates),)),
         Section(
             "Light arm",
-            tables=(_light_table(sections),),
+            tables=() if sections.lights is None else (_light_table(sections.lights),),
             pictures=tuple(picture for picture in pictures if picture is not None),
         ),
     ]
@@ -129,24 +133,27 @@ def write_light_report(lights: CalibratedLights, sections: ReportSections, folde
 def _gate_table(gates: GateReport) -> Table:
     rows = [
         (
-            str(verdict.gate) if first else "",
+            ", ".join(filter(None, (str(verdict.gate), verdict.subject))) if first else "",
             one.name,
-            f"{one.value:.4g}",
-            f"{one.sense} {one.bound:.4g}",
+            _figure(one.value),
+            f"{one.sense} {_figure(one.bound)}",
             "holds" if one.passed else ("refused" if one.refuses else "warning"),
             verdict.remedy if first else "",
         )
         for verdict in gates.verdicts
         for first, one in ((n == 0, c) for n, c in enumerate(verdict.criteria))
     ]
+    rows += [(str(one.gate), "", "–", "", "not tested", one.why) for one in gates.not_tested]
     return Table(
         tuple(rows), heading=("gate", "criterion", "found", "bound", "outcome", "what to do")
     )
 
 
-def _light_table(sections: ReportSections) -> Table:
-    lights = sections.lights
-    assert lights is not None  # the report is on them
+def _figure(value: float) -> str:
+    return "–" if np.isnan(value) else f"{value:.4g}"
+
+
+def _light_table(lights: LightSection) -> Table:
     rows = zip(lights.names, lights.position_mm, lights.residual_deg, lights.sigma_deg, strict=True)
     return Table(
         tuple(

@@ -41,6 +41,12 @@ def stages_folder(copy: Path) -> Path:
     return copy.with_name(f"{copy.name}-stages")
 
 
+def copy_title(copy: Path) -> str:
+    """Name of a copy's folder, or of the one above where it is called copy, as ours are."""
+    place = copy.resolve()
+    return place.parent.name if place.name == "copy" else place.name
+
+
 def run_file(copy: Path) -> Path:
     """Where the record of the run that made a copy is."""
     return copy.with_name(f"{copy.name}-run.json")

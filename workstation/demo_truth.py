@@ -28,7 +28,7 @@ from workstation.demonstration import (
     true_geometry,
 )
 from workstation.processing import Processed
-from workstation.report_maps import draw_map
+from workstation.report_maps import draw_map, percentiles
 from workstation.report_page import Picture, Section, Table
 
 
@@ -143,7 +143,7 @@ class DemoTruth:
                 f"{self.ratio:.2f}",
             ),
             ("spread of height errors over their standard errors", "1", f"{heights.spread:.2f}"),
-            ("mean error of height", "0 µm", f"{um * heights.bias_mm:.2f} µm"),
+            ("mean error of height", "0 µm", f"{um * heights.bias_mm:z.2f} µm"),
             (
                 "baseline of camera and projector",
                 f"{um * self.baseline_sigma_mm:.0f} µm",
@@ -159,15 +159,23 @@ class DemoTruth:
         )
         observed = um * np.abs(self.error_mm.astype(np.float64))
         predicted = um * np.sqrt(copy.height_field.variance.astype(np.float64))
-        limit = dict(unit="µm", colours="magma", limits=(0.0, 98.0))
+        # One scale for both, which are to be compared.
+        _, most = percentiles(copy, observed, (0.0, 98.0))
+        scale = dict(colours="magma", span=(0.0, most))
         return Section(
             "Against the truth",
             "The painting was made by code, so its true shape is known. Nothing above this line "
             "has seen it; the copy was only turned and shifted to where it fits best.",
             tables=(Table(rows, ("", "predicted", "observed", "ratio")),),
             pictures=(
-                Picture("Predicted standard error, µm", draw_map(copy, predicted, **limit)),  # type: ignore[arg-type]
-                Picture("Observed error, µm", draw_map(copy, observed, **limit)),  # type: ignore[arg-type]
+                Picture(
+                    "Predicted standard error of the height, µm",
+                    draw_map(copy, predicted, scale="standard error, µm", **scale),  # type: ignore[arg-type]
+                ),
+                Picture(
+                    "Observed error of the height, µm, without its sign",
+                    draw_map(copy, observed, scale="error, µm", **scale),  # type: ignore[arg-type]
+                ),
             ),
         )
 

@@ -7,12 +7,13 @@ from collections.abc import Callable
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from workstation.pareto_front import pareto_front
 from workstation.quality_curve import QUALITY, CurvePoint, QualityCurve
 from workstation.report_page import Picture, figure_png
 
-_DPI = 110
+_DPI = 150
 
 
 def curve_pictures(curve: QualityCurve, *, chosen: str | None = None) -> tuple[Picture, Picture]:
@@ -27,15 +28,15 @@ def curve_pictures(curve: QualityCurve, *, chosen: str | None = None) -> tuple[P
     chosen : str, optional
         A quality, which gets a ring.
     """
-    heights = _draw(
-        curve, chosen, lambda point: 1e3 * point.height_mm, "RMS error of heights, µm", "{:g}"
-    )
+    heights = _draw(curve, chosen, lambda point: 1e3 * point.height_mm, "RMS error of heights, µm")
     photographs = _draw(
-        curve, chosen, lambda point: -point.heldout_db, "PSNR of photographs kept out, dB", "{:.1f}"
+        curve, chosen, lambda point: -point.heldout_db, "PSNR of photographs kept out, dB"
     )
     return (
-        Picture("Processor's time and the error of heights", heights),
-        Picture("Processor's time and photographs kept out of the fit", photographs),
+        Picture("Processor's time and the error of heights; lower is better", heights),
+        Picture(
+            "Processor's time and photographs kept out of the fit; lower is better", photographs
+        ),
     )
 
 
@@ -44,9 +45,8 @@ def _draw(
     chosen: str | None,
     error: Callable[[CurvePoint], float],
     name: str,
-    form: str,
 ) -> bytes:
-    figure = Figure(figsize=(6.6, 5.2), layout="constrained")
+    figure = Figure(figsize=(5.2, 4.1), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     colours = {name: f"C{n}" for n, name in enumerate(dict.fromkeys(p.curve for p in curve.points))}
@@ -57,9 +57,10 @@ def _draw(
     axes.set_xscale("log")
     # Before the scale is asked for its ticks.
     axes.margins(x=0.2, y=0.1)
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    axes.xaxis.set_minor_formatter(lambda value, _: f"{value:g}")
-    axes.yaxis.set_major_formatter(lambda value, _: form.format(abs(value)))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.yaxis.set_major_formatter(lambda value, _: f"{abs(value):.1f}")
     axes.set_xlabel("processor's time, s")
     axes.set_ylabel(name)
     return figure_png(figure, dpi=_DPI)
@@ -73,7 +74,7 @@ def _mark(axes: Axes, point: CurvePoint, error: float, colour: str, *, ringed: b
     axes.annotate(
         point.label,
         (point.seconds, error),
-        xytext=(6, 5),
+        xytext=(11, 6) if point.default else (6, 5),
         textcoords="offset points",
         fontsize=9,
         weight="bold" if point.curve == QUALITY else "normal",

@@ -17,10 +17,11 @@ from acquisition.atomic_files import write_bytes
 
 @dataclass(frozen=True)
 class Picture:
-    """A PNG or JPEG picture and what it shows."""
+    """A PNG or JPEG picture and what it shows; whether it takes the width of the page."""
 
     caption: str
     content: bytes
+    wide: bool = False
 
     @property
     def source(self) -> str:
@@ -71,7 +72,12 @@ class Section:
     @property
     def anchor(self) -> str:
         """Name of the part in the page's addresses."""
-        return "-".join("".join(c if c.isalnum() else " " for c in self.title.lower()).split())
+        return anchor(self.title)
+
+
+def anchor(title: str) -> str:
+    """Name that a part of a page has in its addresses."""
+    return "-".join("".join(c if c.isalnum() else " " for c in title.lower()).split())
 
 
 def write_page(
@@ -118,21 +124,23 @@ def page_templates() -> Environment:
 def typeset(text: object) -> Markup:
     """A text as HTML, its numbers and symbols as they are printed.
 
-    Negative numbers get a minus sign, digits from 10 000 on stand in threes, and the indices of ρ
-    and δ are lowered.
+    Negative numbers get a minus sign and zero none, digits from 10 000 on stand in threes, and
+    indices of symbols are lowered.
     """
     said = str(escape(text))
     said = re.sub(r"(?<![\w.)])-(?=\.?\d)", "\N{MINUS SIGN}", said)
+    said = re.sub(r"\N{MINUS SIGN}(0(\.0+)?)(?![\d.e])", r"\1", said)
     said = re.sub(
         r"(?<![\w.#])[1-9]\d{4,}(?![\w.])",
         lambda number: f"{int(number[0]):,}".replace(",", "\N{NARROW NO-BREAK SPACE}"),
         said,
     )
-    return Markup(re.sub(r"ρ_([ds])|δ(0)", _lowered, said))
+    return Markup(re.sub(r"(?<![\w.])(?:([ρfc])_([dsxy])|(δ)(0))(?!\w)", _lowered, said))
 
 
 def _lowered(symbol: re.Match[str]) -> str:
-    return f"{symbol[0][0]}<sub>{symbol[1] or symbol[2]}</sub>"
+    letter, index = filter(None, symbol.groups())
+    return f"{letter}<sub>{index}</sub>"
 
 
 def figure_png(figure: Figure, *, dpi: float) -> bytes:

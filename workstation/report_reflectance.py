@@ -29,14 +29,14 @@ def reflectance_section(copy: DigitalCopy) -> Section:
     specular = maps.specular.astype(np.float64).mean(axis=-1)
     exponent = np.log10(np.maximum(maps.lobe[..., 3].astype(np.float64), 1.0))
     pictures = [
-        Picture("Diffuse colour π ρ_d", draw_map(copy, encode_srgb(diffuse))),
+        Picture("Diffuse colour π ρ_d, as sRGB", draw_map(copy, encode_srgb(diffuse))),
         Picture(
             "Strength of the lobe ρ_s, mean of red, green and blue",
-            draw_map(copy, specular, unit="1/sr", colours="cividis", limits=(1, 99)),
+            draw_map(copy, specular, scale="ρ_s, 1/sr", colours="cividis", limits=(1, 99)),
         ),
         Picture(
             "Sharpness of the lobe, log₁₀ k",
-            draw_map(copy, exponent, unit="log₁₀ k", colours="cividis", limits=(1, 99)),
+            draw_map(copy, exponent, scale="log₁₀ k", colours="cividis", limits=(1, 99)),
         ),
         *_quality_maps(copy, maps),
     ]
@@ -57,11 +57,15 @@ def _quality_maps(copy: DigitalCopy, maps: ReflectanceMaps) -> list[Picture]:
     return [
         Picture(
             "Predicted standard error of the diffuse colour π ρ_d",
-            draw_map(copy, sigma, unit="of white", colours="magma", limits=(0, 98)),
+            draw_map(
+                copy, sigma, scale="standard error, white = 1", colours="magma", limits=(0, 98)
+            ),
         ),
         Picture(
             "Observed: RMS that the lobe leaves of the samples, times π",
-            draw_map(copy, residual, unit="of white", colours="magma", limits=(0, 98)),
+            draw_map(
+                copy, residual, scale="RMS residual × π, white = 1", colours="magma", limits=(0, 98)
+            ),
         ),
     ]
 
@@ -83,9 +87,9 @@ def _tables(copy: DigitalCopy, maps: ReflectanceMaps) -> list[Table]:
     tables = [Table(tuple(rows))] if rows else []
     materials = found.get("materials") or []
     if materials:
-        heading = ("material", "k", "lobe", "misfit, of a 20 % grey's radiance")
+        heading = ("", "k", "lobe", "misfit, of a 20 % grey's radiance")
         lobes = tuple(
-            (str(n), f"{m['k']:.1f}", m["variant"].lower(), f"{100 * _misfit(m):.1f} %")
+            (f"material {n}", f"{m['k']:.1f}", m["variant"].lower(), f"{100 * _misfit(m):.1f} %")
             for n, m in enumerate(materials, start=1)
         )
         tables.append(Table(lobes, heading))

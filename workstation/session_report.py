@@ -6,22 +6,21 @@ import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.contact_sheet import draw_contact_sheet
+from acquisition.contact_sheet import draw_contact_sheets
 from acquisition.session import Session
 from calibration.rig_geometry import RigGeometry
 from fitting.copy_files import read_copy
 from fitting.digital_copy import DigitalCopy
-from fitting.relief_picture import draw_relief
 from render.painter import Painter
 from render.painting_node import Mode
 from render.views import NamedView, named_view
+from workstation.copy_writing import copy_title
 from workstation.quality_curve import QualityCurve, shipped_curve
 from workstation.report_maps import draw_map, shaded_relief
 from workstation.report_page import Picture, Section, Table, write_page
@@ -121,7 +120,7 @@ def write_session_report(
     width, height = copy.height_field.size_mm
     write_page(
         path,
-        title=f"A digital copy: {copy_folder.resolve().name}",
+        title=f"A digital copy: {copy_title(copy_folder)}",
         summary=(
             f"{width:.0f} × {height:.0f} mm of canvas in {int(copy.height_field.mask.sum())} "
             f"texels of {copy.height_field.pitch_mm:.3f} mm, made by "
@@ -141,15 +140,15 @@ def write_session_report(
 
 
 def _captured(session: Session, *, title: str = "What was captured") -> Section:
-    sheet, figures = draw_contact_sheet(session)
+    sheets, figures = draw_contact_sheets(session, columns=8, rows=5)
     exposures = sorted({f.exposure_s for f in figures if f.exposure_s is not None})
     purposes = Counter(str(frame.purpose) for frame in session.frames)
     places = {frame.camera_position for frame in session.frames if frame.camera_position}
     saturated = max((f.saturated for f in figures), default=0.0)
     camera, panel = session.plan.camera, session.plan.projector
     rows = [
-        ("frames", ", ".join(f"{n} for {purpose}" for purpose, n in purposes.items())),
-        ("left out of their brackets", str(len(session.skipped))),
+        ("frames", ", ".join(f"{n} {purpose}" for purpose, n in purposes.items())),
+        ("frames not needed in their brackets", str(len(session.skipped))),
         (
             "camera",
             f"{camera.width} × {camera.height} pixels"
@@ -164,8 +163,15 @@ def _captured(session: Session, *, title: str = "What was captured") -> Section:
     return Section(
         title,
         tables=(Table(tuple(rows)),),
-        pictures=(Picture("Every frame, in the order of the plan", _jpeg(sheet)),),
+        pictures=tuple(
+            Picture(f"Every frame, in the order of the plan{part}", _jpeg(sheet), wide=True)
+            for sheet, part in zip(sheets, _parts(len(sheets)), strict=True)
+        ),
     )
+
+
+def _parts(count: int) -> list[str]:
+    return [""] if count == 1 else [f": {n} of {count}" for n in range(1, count + 1)]
 
 
 def _calibration(folder: Path | None) -> Section:
@@ -219,16 +225,20 @@ def _heights(copy: DigitalCopy) -> Section:
                 "As matt plaster, lit from the upper left", draw_map(copy, shaded_relief(copy))
             ),
             Picture(
-                "Height, mm (colours end at 0.1 and 99.9 %)",
-                draw_map(copy, heights, unit="mm", limits=(0.1, 99.9)),
+                "Height above the canvas plane, mm; colours end at 0.1 and 99.9 % of the texels",
+                draw_map(copy, heights, scale="height, mm", limits=(0.1, 99.9)),
             ),
             Picture(
-                "Standard error of the height, µm",
-                draw_map(copy, sigma_um, unit="µm", colours="magma", limits=(0, 98)),
+                "Standard error of the height, µm; colours end at 98 %",
+                draw_map(
+                    copy, sigma_um, scale="standard error, µm", colours="magma", limits=(0, 98)
+                ),
             ),
             Picture(
-                "Standard error of the slope, degrees",
-                draw_map(copy, slope_deg, unit="°", colours="magma", limits=(0, 98)),
+                "Standard error of the slope, degrees; colours end at 98 %",
+                draw_map(
+                    copy, slope_deg, scale="standard error, °", colours="magma", limits=(0, 98)
+                ),
             ),
         ),
     )
@@ -238,22 +248,28 @@ def _relief(copy: DigitalCopy) -> Section:
     relief = copy.relief
     proposed = relief.proposed_delta0_mm
     rows = [
-        ("δ0", f"{relief.delta0_mm:.3f} mm"),
+        ("height of the plane, δ0", f"{relief.delta0_mm:.3f} mm"),
         ("δ0 that the histogram proposes", "none" if proposed is None else f"{proposed:.3f} mm"),
         ("boxes", f"{len(relief.boxes)} of {relief.cell} × {relief.cell} texels"),
         ("significant texels", f"{int(relief.significant.sum())}"),
     ]
-    with TemporaryDirectory() as folder:
-        panels = Path(folder) / "relief.png"
-        draw_relief(copy, panels)
-        content = panels.read_bytes()
+    mask = copy.height_field.mask
+    above = mask & (copy.height_field.height > relief.delta0_mm)
     return Section(
         "Relief",
-        "Heights, those above δ0, what is left of them without specks, and the boxes in which the "
-        "renderer walks along its rays.",
+        "Which texels stand above δ0, what is left of them without specks, and the boxes in which "
+        "the renderer walks along its rays.",
         tables=(Table(tuple(rows)),),
-        pictures=(Picture("Classification of the relief", content),),
+        pictures=(
+            Picture("Above δ0 dark, below it grey", draw_map(copy, _shades(above))),
+            Picture("The same without specks", draw_map(copy, _shades(relief.significant))),
+            Picture("Boxes, on the plaster", draw_map(copy, shaded_relief(copy), boxes=True)),
+        ),
     )
+
+
+def _shades(marked: NDArray[np.bool_]) -> NDArray[np.float64]:
+    return np.repeat(np.where(marked, 0.2, 0.8)[..., np.newaxis], 3, axis=-1)
 
 
 def _errors(copy: DigitalCopy) -> Section:
@@ -262,16 +278,16 @@ def _errors(copy: DigitalCopy) -> Section:
     noise = errors.get("height_noise")
     if isinstance(noise, dict):
         predicted, observed = noise["predicted_mm"], noise["observed_mm"]
-        rows.append(_compared("white noise of the range image", "mm", predicted, observed))
-    rows.append(
-        ("standard error of a height, median", f"{errors.get('height_sigma_mm', math.nan):.4f} mm")
-    )
+        ratio = f"{observed / predicted:.2f}" if predicted > 0 else ""
+        rows.append(("white noise of the range image", _um(predicted), _um(observed), ratio))
+    sigma_mm = errors.get("height_sigma_mm", math.nan)
+    rows.append(("standard error of a height, median", _um(sigma_mm), "", ""))
     calibration = errors.get("calibration_uncertainty")
     if isinstance(calibration, dict):
-        by_rig = f"{calibration['height_sigma_mm']:.4f} mm"
+        by_rig = _um(calibration["height_sigma_mm"])
     else:
         by_rig = str(calibration or "not known")
-    rows.append(("height by the calibration's uncertainty", by_rig))
+    rows.append(("standard error of heights by the calibration", by_rig, "", ""))
     rows += _reflectance_errors(errors)
     return Section(
         "Errors, predicted and observed",
@@ -286,20 +302,19 @@ def _reflectance_errors(errors: dict[str, Any]) -> list[tuple[str, ...]]:
         ("misplacement of texture by registration", "registration_texture_px", "{:.4f} px"),
         ("residual of radiance over irradiance, median", "reflectance_residual", "{:.4f} 1/sr"),
         ("photographs kept out of the fit, PSNR", "heldout_psnr_db", "{:.1f} dB"),
-        ("the same, mean ΔE2000", "heldout_delta_e", "{:.2f}"),
+        ("photographs kept out of the fit, mean ΔE2000", "heldout_delta_e", "{:.2f}"),
     )
     predicted = {"registration_texture_px"}
     rows: list[tuple[str, ...]] = []
     for title, name, form in named:
         if isinstance(errors.get(name), float):
             said = form.format(errors[name])
-            rows.append((title, said, "") if name in predicted else (title, "", said))
+            rows.append((title, said, "", "") if name in predicted else (title, "", said, ""))
     return rows
 
 
-def _compared(name: str, unit: str, predicted: float, observed: float) -> tuple[str, ...]:
-    ratio = f"{observed / predicted:.2f}" if predicted > 0 else ""
-    return (name, f"{predicted:.4g} {unit}", f"{observed:.4g} {unit}", ratio)
+def _um(length_mm: float) -> str:
+    return f"{1e3 * length_mm:.1f} µm"
 
 
 def _views(copy: DigitalCopy, view_px: tuple[int, int], begin: Callable[[str], None]) -> Section:
@@ -322,10 +337,22 @@ def _parameters(copy: DigitalCopy) -> Section:
             for key, inner in value.items():
                 walk(f"{name}.{key}" if name else key, inner)
         else:
-            rows.append((name, "by default from the data" if value is None else str(value)))
+            rows.append((name, _plain(value)))
 
     walk("", copy.provenance.get("parameters", {}))
     return Section("Parameters", tables=(Table(tuple(rows)),))
+
+
+def _plain(value: object) -> str:
+    if value is None:
+        return "by default from the data"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, (list, tuple)):
+        return ", ".join(map(_plain, value))
+    return str(value)
 
 
 def _jpeg(picture: NDArray[np.uint8]) -> bytes:

@@ -115,7 +115,7 @@ def test_matrices_for_opencv_are_those_of_the_rig(calibrated):
 
 def test_the_report_asks_nothing_of_the_net_and_shows_every_part(calibrated):
     page = (calibrated / "report" / "index.html").read_text()
-    assert not re.search(r"(src|href)=\"(?!data:)", page)
+    assert not re.search(r"(src|href)=\"(?!data:|#)", page)
     assert "url(" not in page
     assert "<script" not in page
     for heading in ("Gates", "Uncertainty", "Residuals", "Coverage", "Cross-validation", "History"):
@@ -128,7 +128,7 @@ def test_the_report_asks_nothing_of_the_net_and_shows_every_part(calibrated):
     assert [one["gate"] for one in report["not_tested"]] == ["scale"]
     assert "Passed: every gate holds" not in page
     assert "Not tested: scale (no length was measured by hand)" in page
-    assert page.count("<td>not tested</td>") == 1
+    assert page.count("<strong>not tested</strong>") == 1
     for plane in report["heldout_planes"]:
         assert plane["rms_mm"] < 1.3 * plane["predicted_noise_mm"]
         assert abs(plane["scale_error"]) < 1e-3

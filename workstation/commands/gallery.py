@@ -51,6 +51,7 @@ def gallery(
     from render.painter import Painter
     from render.picture_files import write_picture
     from render.video_files import video_file
+    from workstation.copy_writing import copy_title
     from workstation.destinations import check_destinations
     from workstation.interruption import too_late_to_stop
     from workstation.progress import progress
@@ -61,7 +62,7 @@ def gallery(
     if out.exists():
         raise RenderError(f"{out} exists already; choose another place, or remove it first")
     room = Gallery(
-        [Hanging(read_copy(copy), _title(copy)) for copy in copies],
+        [Hanging(read_copy(copy), copy_title(copy)) for copy in copies],
         mode=shown,
         budget_px=budget,
     )
@@ -92,9 +93,3 @@ def gallery(
         too_late_to_stop()
     typer.echo(str(out))
     write_json(json, {"frames": figures, "video": film.path.name if film else None})
-
-
-def _title(copy: Path) -> str:
-    """Name of a copy's folder, or of the one above where it is called copy, as ours are."""
-    place = copy.resolve()
-    return place.parent.name if place.name == "copy" else place.name
