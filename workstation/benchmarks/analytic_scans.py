@@ -12,7 +12,7 @@ from calibration.rig_geometry import RigGeometry
 from fitting.depth_solver import panel_points
 
 _DISTANCE_MM = 450.0
-_SIGMA_PX = 0.03
+SIGMA_PX = 0.03
 _ROWS_AT_A_TIME = 256
 
 
@@ -56,8 +56,8 @@ def scan_of(rig: RigGeometry, *, seed: int = 0) -> CorrespondenceMap:
             depth = _DISTANCE_MM - relief(depth * here[:, 0], depth * here[:, 1])
         panel[rows] = panel_points(here, depth, rig).reshape(*slopes[rows].shape[:2], 2)
     random = np.random.default_rng(seed)
-    panel += random.normal(0, _SIGMA_PX, panel.shape)
-    variance = np.full(shape, _SIGMA_PX**2, np.float32)
+    panel += random.normal(0, SIGMA_PX, panel.shape)
+    variance = np.full(shape, SIGMA_PX**2, np.float32)
     level = np.full(shape, 100, np.float32)
     axes = {
         axis: AxisCoordinate(np.ascontiguousarray(panel[..., i]), variance, level, 24.0, 1.0)

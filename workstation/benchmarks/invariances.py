@@ -1,37 +1,28 @@
-"""Changes that must not matter: order of inputs, threads, units, level of light.
+"""Changes that must not matter, in every stage: what each is held to, and what it takes.
 
-Each is stated with the tolerance that the arithmetic leaves: sums in another order differ in their
-last digits, and single precision has seven of them.
+Order of inputs, number of threads, units of length and time, level of light, the frame in which
+the rig is described, numbers in single precision; and inputs that hardly determine anything, which
+a stage has to refuse, or to answer with errors that large.
+
+A tolerance is what the arithmetic leaves, and says so where it is given: sums in another order
+differ in their last digits, single precision has 24 of them, an iteration ends within a share of
+the standard error that its criterion names. Where a result has a stated error, deviations are in
+units of it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 
 import numba
-import numpy as np
-from numpy.typing import NDArray
 
-from acquisition.correspondence import CorrespondenceMap
-from acquisition.decoding import decode
-from acquisition.frame_files import Samples
-from acquisition.hdr import merge_bracket
-from acquisition.plan import Plan
-from acquisition.sample_noise import SampleNoise
-from acquisition.session import Session
-from calibration.rig_geometry import RigGeometry
-from devices.errors import ImpastoError
-from fitting.height_field import HeightField
-from fitting.reflectance.samples import RadianceSamples
-from fitting.reflectance.solver import TexelFits, fit_texels
-from fitting.surface import reconstruct_surface
-from workstation.benchmarks.analytic_scans import scan_of, surface_rig
-from workstation.benchmarks.paint_samples import glossy_finishes, paint_samples
-
-_FULL_SCALE = 65535
+# Of single precision: the largest relative error of rounding a number.
+SINGLE = 2.0**-24
+# Deviations of rounding errors, which are even and independent, that are no chance: in units of
+# their own standard deviation, for a hundred thousand numbers.
+SIGMAS_OF_MANY = 6.0
 
 
 @dataclass(frozen=True)
@@ -58,191 +49,28 @@ class Invariance:
         """Whether the change did not matter."""
         return self.deviation <= self.tolerance
 
+    @property
+    def stage(self) -> str:
+        """What the change was made to."""
+        return self.name.partition(", ")[0]
 
-def measure_invariances(session: Path) -> list[Invariance]:
-    """Make every change and see what it does.
+    def __str__(self) -> str:
+        unit = f" {self.unit}" if self.unit else ""
+        return f"{self.name}: {self.deviation:.2g} of {self.tolerance:.2g}{unit}"
 
-    Parameters
-    ----------
-    session : Path
-        A small scan with its calibration.
+
+def rounding_sigma(largest: float) -> float:
+    """Standard deviation of what rounding to single precision changes, next to the largest number.
+
+    The numbers below it are spaced as evenly, or more closely.
     """
-    return [
-        *_of_decoding(Session.open(session)),
-        *_of_merging(),
-        *_of_surface(),
-        *_of_reflectance(),
-    ]
-
-
-def _of_decoding(session: Session) -> Iterator[Invariance]:
-    plan = session.plan
-    frames = {frame.id: session.read_frame(frame.id) for frame in plan.frames}
-    reference = decode(plan, frames.__getitem__)
-
-    def changed(
-        name: str, plan: Plan, read: Callable[[str], Samples], tolerance: float
-    ) -> Invariance:
-        return Invariance(
-            f"decode, {name}", _pixels(decode(plan, read), reference), tolerance, "px"
-        )
-
-    random = np.random.default_rng(0)
-    for _ in range(3):
-        order = tuple(plan.frames[i] for i in random.permutation(len(plan.frames)))
-        permuted = plan.model_copy(update={"frames": order})
-        yield changed("frames in another order", permuted, frames.__getitem__, 1e-4)
-    with _threads(1):
-        yield changed("one thread", plan, frames.__getitem__, 0.0)
-    gain = min(16, _FULL_SCALE // plan.saturation_level)
-    brighter = plan.model_copy(update={"saturation_level": plan.saturation_level * gain})
-    yield changed(
-        f"{gain} times the sensor numbers",
-        brighter,
-        lambda frame: (
-            (frames[frame].astype(np.uint32) * gain).clip(0, _FULL_SCALE).astype(np.uint16)
-        ),
-        1e-3,
-    )
-
-
-def _pixels(found: CorrespondenceMap, reference: CorrespondenceMap) -> float:
-    """Largest difference of coordinates, where nearly all pixels have one in both."""
-    worst = 0.0
-    for axis, expected in reference.axes.items():
-        a, b = found.axes[axis].coordinate, expected.coordinate
-        both = np.isfinite(a) & np.isfinite(b)
-        if both.sum() < 0.999 * max(np.isfinite(a).sum(), np.isfinite(b).sum()):
-            return np.inf
-        worst = max(worst, float(np.abs(a - b)[both].max()))
-    return worst
-
-
-def _of_merging() -> Iterator[Invariance]:
-    random = np.random.default_rng(1)
-    exposures = np.array([0.01, 0.04, 0.16])
-    radiance = 10 ** random.uniform(1, 5, (64, 64))
-    noise = SampleNoise(4.0, 0.5, "stated")
-    level = radiance[None] * exposures[:, None, None]
-    stack = np.clip(random.poisson(level / 0.5) * 0.5 + 32, 0, 4095).astype(np.uint16)
-
-    def merge(order: NDArray[np.intp], unit: float) -> NDArray[np.float32]:
-        merged = merge_bracket(
-            [stack[i] for i in order],
-            exposures[order] * unit,
-            noise=noise,
-            black_level=32.0,
-            saturation_level=4095,
-        )
-        return np.asarray(merged.radiance * unit, np.float32)
-
-    rising = np.arange(3)
-    reference = merge(rising, 1.0)
-    for name, found in (
-        ("exposures in another order", merge(rising[::-1], 1.0)),
-        ("exposures in milliseconds", merge(rising, 1e3)),
-        ("exposures in days", merge(rising, 1 / 86_400)),
-    ):
-        deviation = np.nanmax(np.abs(found - reference) / (np.abs(reference) + 1.0))
-        same = np.array_equal(np.isnan(found), np.isnan(reference))
-        yield Invariance(f"merge, {name}", float(deviation) if same else np.inf, 1e-5, "")
-
-
-def _of_surface() -> Iterator[Invariance]:
-    rig = surface_rig(320)
-    scan = scan_of(rig)
-    reference = reconstruct_surface(scan, rig).copy.height_field
-    with _threads(1):
-        alone = reconstruct_surface(scan, rig).copy.height_field
-    yield Invariance("surface, one thread", _millimetres(alone, reference, 1.0), 0.0, "mm")
-    for unit, name in ((1e-3, "metres"), (1e3, "micrometres")):
-        pose = np.concatenate([rig.rt_proj_cam[:3], unit * rig.rt_proj_cam[3:]])
-        field = reconstruct_surface(scan, replace(rig, rt_proj_cam=pose)).copy.height_field
-        yield Invariance(
-            f"surface, rig in {name}", _millimetres(field, reference, unit), 1e-3, "mm"
-        )
-    for share in (1e-1, 1e-3):
-        yield _of_a_short_baseline(rig, share)
-
-
-def _of_a_short_baseline(rig: RigGeometry, share: float) -> Invariance:
-    """A rig whose lenses stand close together refuses, or states errors that large."""
-    pose = np.concatenate([rig.rt_proj_cam[:3], share * rig.rt_proj_cam[3:]])
-    narrow = replace(rig, rt_proj_cam=pose)
-    try:
-        field = reconstruct_surface(scan_of(narrow), narrow).copy.height_field
-    except ImpastoError:
-        stated = 0.0
-    else:
-        spread = np.nanstd(field.height[field.mask])
-        stated = float(spread / np.sqrt(np.median(field.variance[field.mask])))
-    baseline_mm = np.linalg.norm(pose[3:])
-    name = f"surface, {baseline_mm:.2g} mm of baseline: height over its stated error"
-    return Invariance(name, stated, 3.0, "")
-
-
-def _millimetres(found: HeightField, reference: HeightField, unit: float) -> float:
-    if found.shape != reference.shape:
-        return np.inf
-    both = found.mask & reference.mask
-    if both.sum() < 0.999 * max(found.mask.sum(), reference.mask.sum()):
-        return np.inf
-    return float(np.abs(found.height / unit - reference.height)[both].max())
-
-
-def _of_reflectance() -> Iterator[Invariance]:
-    random = np.random.default_rng(2)
-    texels, count = 200, 48
-    samples = paint_samples(glossy_finishes(texels, random), texels, count, seed=3)
-    reference = fit_texels(samples)
-    order = random.permutation(texels)
-    inverse = np.argsort(order)
-    shuffled = fit_texels(samples.take(order))
-    cost, diffuse = shuffled.cost[inverse], shuffled.lobes.diffuse[inverse]
-    yield _fit("texels in another order", cost, diffuse, reference, 1e-12)
-    places = random.permutation(count)
-    found = fit_texels(_samples(samples, lambda array: array[:, places]))
-    yield _fit("samples in another order", found.cost, found.lobes.diffuse, reference, 1e-2)
-    with _threads(1):
-        found = fit_texels(samples)
-    yield _fit("one thread", found.cost, found.lobes.diffuse, reference, 0.0)
-    for factor in (1e-6, 1e6):
-        scaled = replace(
-            samples, radiance=samples.radiance * factor, variance=samples.variance * factor**2
-        )
-        found = fit_texels(scaled)
-        yield _fit(f"light × {factor:g}", found.cost, found.lobes.diffuse / factor, reference, 1e-2)
-
-
-def _samples(
-    samples: RadianceSamples, change: Callable[[NDArray[np.float32]], NDArray[np.float32]]
-) -> RadianceSamples:
-    names = ("view", "light", "radiance", "variance", "weight")
-    return RadianceSamples(*(change(getattr(samples, name)) for name in names))
-
-
-def _fit(
-    name: str,
-    cost: NDArray[np.float64],
-    diffuse: NDArray[np.float64],
-    reference: TexelFits,
-    tolerance: float,
-) -> Invariance:
-    """Compare cost and ρ_d with the reference's, the 99th percentile of the texels.
-
-    A texel with two minima of nearly one depth may end in the other: the cost then hardly differs.
-    """
-    if not (np.isfinite(cost).all() and np.isfinite(diffuse).all()):
-        return Invariance(f"reflectance, {name}", np.inf, tolerance, "")
-    by_cost = np.abs(cost / reference.cost - 1)
-    by_diffuse = np.abs(diffuse - reference.lobes.diffuse).max(axis=1)
-    by_diffuse /= np.abs(reference.lobes.diffuse).max(axis=1) + 1e-12
-    deviation = float(np.quantile(np.minimum(by_cost, by_diffuse), 0.99))
-    return Invariance(f"reflectance, {name}", deviation, tolerance, "")
+    spacing = 2.0 ** (int(largest).bit_length() - 24)
+    return float(spacing / 12**0.5)
 
 
 @contextmanager
-def _threads(count: int) -> Iterator[None]:
+def threads(count: int) -> Iterator[None]:
+    """Compiled loops on so many threads."""
     before = numba.get_num_threads()
     numba.set_num_threads(count)
     try:

@@ -10,8 +10,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from acquisition.session import Session
 from workstation.benchmark_records import Record, Sense
 from workstation.benchmarks import interrupted_commands
+from workstation.benchmarks.appearance_invariances import (
+    reflectance_invariances,
+    render_invariances,
+)
+from workstation.benchmarks.calibration_invariances import (
+    calibration_invariances,
+    light_arm_invariances,
+)
+from workstation.benchmarks.decoding_invariances import decoding_invariances, merging_invariances
 from workstation.benchmarks.fuzz_targets import TARGETS, make_targets
 from workstation.benchmarks.fuzzing import End, Outcome, Target, fuzz
 from workstation.benchmarks.interrupted_commands import Inputs
@@ -21,7 +31,11 @@ from workstation.benchmarks.interruptions import (
     interrupt,
     kill_recordings,
 )
-from workstation.benchmarks.invariances import Invariance, measure_invariances
+from workstation.benchmarks.invariances import Invariance
+from workstation.benchmarks.surface_invariances import (
+    registration_invariances,
+    surface_invariances,
+)
 from workstation.progress import progress
 
 # Trials of each target, by how long one takes and how much there is to get wrong.
@@ -109,7 +123,19 @@ def _read_damaged(
     place.mkdir()
     targets = make_targets(place)
     fuzzed = _fuzz([t for t in targets if t.name in parts], first, share)
-    return fuzzed, measure_invariances(place / "session") if INVARIANCES in parts else []
+    return fuzzed, list(_invariances(place / "session")) if INVARIANCES in parts else []
+
+
+def _invariances(session: Path) -> Iterator[Invariance]:
+    """Of every stage, from the frames on; the session is a small scan."""
+    yield from decoding_invariances(Session.open(session))
+    yield from merging_invariances()
+    yield from calibration_invariances()
+    yield from light_arm_invariances()
+    yield from registration_invariances()
+    yield from surface_invariances()
+    yield from reflectance_invariances()
+    yield from render_invariances()
 
 
 def _fuzz(targets: list[Target], first: int, share: float) -> list[Fuzzed]:
@@ -188,13 +214,6 @@ def _silent_records(fuzzed: list[Fuzzed], invariances: list[Invariance]) -> Iter
     runs = sum(outcome.trials for outcome in sealed) + len(invariances)
     if runs == 0:
         return
-    note = f"{passed} damaged files read as others; {len(broken)} of {len(invariances)} changes "
-    note += "mattered"
-    if broken:
-        note += ": " + "; ".join(f"{i.name} {i.deviation:.2g} {i.unit}" for i in broken)
-    elif invariances:
-        closest = max(invariances, key=lambda i: i.deviation / (i.tolerance or 1.0))
-        note += f", the most {closest.name}: {closest.deviation:.2g} {closest.unit}"
     yield Record(
         name="stress.silent_wrong",
         value=passed + len(broken),
@@ -202,8 +221,27 @@ def _silent_records(fuzzed: list[Fuzzed], invariances: list[Invariance]) -> Iter
         bound=0,
         sense=Sense.AT_MOST,
         runs=runs,
-        note=note,
+        note=f"{passed} damaged files read as others; {len(broken)} of {len(invariances)} changes "
+        "mattered",
     )
+    for stage, changes in _by_stage(invariances).items():
+        most = max(changes, key=lambda i: i.deviation / (i.tolerance or 1.0))
+        yield Record(
+            name=f"stress.changes_that_mattered.{_dotted(stage)}",
+            value=sum(not i.holds for i in changes),
+            unit="",
+            bound=0,
+            sense=Sense.AT_MOST,
+            runs=len(changes),
+            note="; ".join(str(i) for i in changes if not i.holds) or f"the most {most}",
+        )
+
+
+def _by_stage(invariances: list[Invariance]) -> dict[str, list[Invariance]]:
+    found: dict[str, list[Invariance]] = {}
+    for one in invariances:
+        found.setdefault(one.stage, []).append(one)
+    return found
 
 
 def _interruption_records(found: list[Interruptions], times: int) -> Iterator[Record]:
