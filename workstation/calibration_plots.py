@@ -9,7 +9,9 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colorbar import Colorbar
 from matplotlib.figure import Figure
+from matplotlib.quiver import Quiver
 from numpy.typing import NDArray
 
 from calibration.board_relief import PITCH_MM
@@ -43,9 +45,7 @@ def residual_vectors(done: CalibratedRig, number: int) -> bytes:
         width=0.0022,
         color=_INK,
     )
-    key = _round_figure(usual)
-    axes.set_title(" ", fontsize=9)
-    axes.quiverkey(arrows, 0.9, 1.03, key, f"{key:g} px", labelpos="W", fontproperties={"size": 8})
+    _key(axes, arrows, usual)
     return figure_png(figure, dpi=_DPI)
 
 
@@ -76,7 +76,7 @@ def residual_means(done: CalibratedRig, number: int) -> bytes:
         n = row * _CELLS + col
         if count[n] > 3:
             x, y = (col + 0.5) * lens.width / _CELLS, (row + 0.5) * lens.height / rows
-            text = f"{mean[n, 0]:+.3f}\n{mean[n, 1]:+.3f}"
+            text = f"{mean[n, 0]:+.3f}\n{mean[n, 1]:+.3f}".replace("-", "\N{MINUS SIGN}")
             ink = "white" if ratio[n] > 2.5 else "black"
             axes.text(x, y, text, ha="center", va="center", fontsize=6.5, color=ink)
     _bar(figure, shown, axes, "mean over its standard error")
@@ -89,7 +89,7 @@ def residual_histogram(done: CalibratedRig, number: int) -> bytes:
     kept = solution.inliers[:, number]
     sigma = np.stack([view.sigma_px[number] for view in views])[kept] * solution.sigma0
     white = (solution.residuals_px[:, number][kept] / sigma[:, np.newaxis]).ravel()
-    figure = Figure(figsize=(_WIDTH_IN, 2.9), layout="constrained", dpi=_DPI)
+    figure = Figure(figsize=(_WIDTH_IN, 2.9), layout="compressed", dpi=_DPI)
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     bins = np.linspace(-5, 5, 51)
@@ -99,7 +99,7 @@ def residual_histogram(done: CalibratedRig, number: int) -> bytes:
     axes.set_xlabel("residual / its standard deviation", fontsize=9)
     axes.set_yticks([])
     beyond = float(np.mean(np.abs(white) > 3))
-    axes.set_title(f"{beyond:.2%} beyond 3σ (normal 0.27 %)", fontsize=9)
+    axes.set_title(f"{100 * beyond:.2f} % beyond 3σ (normal: 0.27 %)", fontsize=9)
     axes.legend(fontsize=8, frameon=False)
     axes.tick_params(labelsize=8)
     return figure_png(figure, dpi=_DPI)
@@ -120,30 +120,29 @@ def uncertainty_picture(done: CalibratedRig, number: int) -> bytes:
         vmin=0,
         vmax=float(np.percentile(worst, 97)),
     )
+    bar = _bar(figure, shown, axes, "standard deviation, px", extend="max")
+    # Lines where the scale has its ticks, so that they need no labels.
+    ticks = [tick for tick in bar.get_ticks() if 0 < tick < shown.norm.vmax]
     lines = axes.contour(
-        found.pixels[..., 0], found.pixels[..., 1], worst, 6, colors="white", linewidths=0.7
+        found.pixels[..., 0], found.pixels[..., 1], worst, ticks, colors="white", linewidths=0.7
     )
-    axes.clabel(lines, fontsize=7, fmt="%.3g")
+    bar.add_lines(lines)
     axes.set_xlim(-0.5, lens.width - 0.5)
     axes.set_ylim(lens.height - 0.5, -0.5)
-    _bar(figure, shown, axes, "px")
     return figure_png(figure, dpi=_DPI)
 
 
 def height_picture(heights: HeightUncertainty) -> bytes:
     """Standard error of heights over the working plane, in µm."""
-    figure = Figure(figsize=(_WIDTH_IN, 3.6), layout="constrained", dpi=_DPI)
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
     x, y = heights.points[:, 0], heights.points[:, 1]
+    figure, axes = _map_axes(float(np.ptp(x)), float(np.ptp(y)))
     shown = axes.tricontourf(x, y, 1000 * heights.sigma_mm, 14, cmap="viridis")
     axes.plot(x, y, ".", color="white", ms=1.5)
     axes.set_aspect("equal")
     axes.invert_yaxis()
     axes.set_xlabel("x, mm", fontsize=9)
     axes.set_ylabel("y, mm", fontsize=9)
-    axes.tick_params(labelsize=8)
-    _bar(figure, shown, axes, "µm")
+    _bar(figure, shown, axes, "standard error of height, µm")
     return figure_png(figure, dpi=_DPI)
 
 
@@ -163,7 +162,7 @@ def coverage_picture(done: CalibratedRig, number: int) -> bytes:
 def tilt_picture(done: CalibratedRig) -> bytes:
     """Tilts of the boards to the right and downwards, degrees."""
     tilts = tilts_deg(done)
-    figure = Figure(figsize=(_WIDTH_IN, _WIDTH_IN * 0.85), layout="constrained", dpi=_DPI)
+    figure = Figure(figsize=(_WIDTH_IN, _WIDTH_IN * 0.85), layout="compressed", dpi=_DPI)
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     reach = max(45.0, float(np.abs(tilts).max()) + 5)
@@ -194,29 +193,30 @@ def difference_picture(
     x, y = difference.pixels[..., 0], difference.pixels[..., 1]
     shown = axes.pcolormesh(x, y, length, cmap="viridis", shading="gouraud", vmin=0)
     step = max(1, len(x) // 8)
-    axes.quiver(
-        x[::step, ::step],
-        y[::step, ::step],
-        *np.moveaxis(difference.difference_px[::step, ::step], -1, 0),
+    at = np.s_[::step, ::step]
+    # An arrow of the usual length reaches to the next, none farther than to the third.
+    usual = max(float(np.nanpercentile(length[at], 90)), float(np.nanmax(length[at])) / 3, 1e-9)
+    pitch = float(np.abs(np.diff(x[at], axis=1)).mean())
+    arrows = axes.quiver(
+        x[at],
+        y[at],
+        *np.moveaxis(difference.difference_px[at], -1, 0),
         angles="xy",
+        scale_units="xy",
+        scale=usual / pitch,
         color="white",
-        width=0.003,
+        width=0.004,
     )
-    _bar(figure, shown, axes, "px")
+    _key(axes, arrows, usual)
+    _bar(figure, shown, axes, "length of the difference, px")
     return figure_png(figure, dpi=_DPI)
 
 
-def plane_picture(height_mm: NDArray[np.float64], *, reach_mm: float) -> bytes:
+def plane_picture(height_mm: NDArray[np.float64], *, reach_mm: float, name: str) -> bytes:
     """A board's heights or their differences, in µm, with colours up to ``reach_mm``."""
     rows, cols = height_mm.shape
     size = cols * PITCH_MM, rows * PITCH_MM
-    figure = Figure(
-        figsize=(_WIDTH_IN, min(6.0, _WIDTH_IN * 0.8 * size[1] / size[0] + 0.6)),
-        layout="constrained",
-        dpi=_DPI,
-    )
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
+    figure, axes = _map_axes(*size)
     reach = 1000 * max(reach_mm, 1e-6)
     shown = axes.imshow(
         1000 * height_mm,
@@ -227,8 +227,7 @@ def plane_picture(height_mm: NDArray[np.float64], *, reach_mm: float) -> bytes:
     )
     axes.set_xlabel("along the board's columns, mm", fontsize=9)
     axes.set_ylabel("along its rows, mm", fontsize=9)
-    axes.tick_params(labelsize=8)
-    _bar(figure, shown, axes, "µm")
+    _bar(figure, shown, axes, f"{name}, µm", extend="both")
     return figure_png(figure, dpi=_DPI)
 
 
@@ -241,26 +240,49 @@ def _residuals(done: CalibratedRig, number: int) -> tuple[NDArray[np.float64], N
 
 def _imager(done: CalibratedRig, number: int) -> tuple[Figure, Axes]:
     lens = done.calibration.solution.lenses[number]
-    figure = Figure(
-        figsize=(_WIDTH_IN, _WIDTH_IN * 0.82 * lens.height / lens.width + 0.5),
-        layout="constrained",
-        dpi=_DPI,
-    )
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
+    figure, axes = _map_axes(lens.width, lens.height)
     axes.set_xlim(-0.5, lens.width - 0.5)
     axes.set_ylim(lens.height - 0.5, -0.5)
     axes.set_aspect("equal")
     axes.set_xlabel(f"{LENS_NAMES[number]} column, px", fontsize=9)
     axes.set_ylabel("row, px", fontsize=9)
+    return figure, axes
+
+
+def _map_axes(width: float, height: float) -> tuple[Figure, Axes]:
+    """Axes for a map of a size, with room for its scale."""
+    tall = min(6.0, 0.8 * _WIDTH_IN * height / width + 0.6)
+    figure = Figure(figsize=(_WIDTH_IN, tall), layout="compressed", dpi=_DPI)
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
     axes.tick_params(labelsize=8)
     return figure, axes
 
 
-def _bar(figure: Figure, shown: object, axes: Axes, label: str) -> None:
-    bar = figure.colorbar(shown, ax=axes, shrink=0.85)  # type: ignore[arg-type]
+def _bar(
+    figure: Figure, shown: object, axes: Axes, label: str, *, extend: str | None = None
+) -> Colorbar:
+    bar = figure.colorbar(shown, ax=axes, extend=extend)  # type: ignore[arg-type]
     bar.set_label(label, fontsize=8)
     bar.ax.tick_params(labelsize=7)
+    return bar
+
+
+def _key(axes: Axes, arrows: Quiver, usual_px: float) -> None:
+    """Say above the axes how long an arrow of a round length is."""
+    key = _round_figure(usual_px)
+    axes.set_title(" ", fontsize=9)
+    axes.quiverkey(
+        arrows,
+        0.9,
+        1.04,
+        key,
+        f"{key:g} px",
+        labelpos="W",
+        color=_INK,
+        edgecolor="none",
+        fontproperties={"size": 8},
+    )
 
 
 def _thinned(count: int, most: int) -> NDArray[np.int_]:

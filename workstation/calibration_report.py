@@ -235,12 +235,12 @@ def _with_error(value: float, sigma: float, digits: int) -> str:
     return f"{value:.{digits}f} ± {sigma:.{digits}f}"
 
 
-def _of_one_scale(heights_mm: list[NDArray[np.float64]]) -> list[bytes]:
+def _of_one_scale(heights_mm: list[NDArray[np.float64]], name: str) -> list[bytes]:
     """Maps of heights with one scale of colours."""
     if not heights_mm:
         return []
     reach = max(float(np.nanpercentile(np.abs(height), 99)) for height in heights_mm)
-    return [plane_picture(height, reach_mm=reach) for height in heights_mm]
+    return [plane_picture(height, reach_mm=reach, name=name) for height in heights_mm]
 
 
 def _light_picture(sections: ReportSections) -> Picture | None:
@@ -272,7 +272,8 @@ def _pictures(done: CalibratedRig) -> dict[str, list[Picture]]:
         ),
         "uncertainty": each(
             uncertainty_picture,
-            "standard deviation of projection at the working distance, worst direction",
+            "standard deviation of projection at the working distance, worst direction; colours "
+            "end at 97 % of the imager",
         ),
         "coverage": each(coverage_picture, "corners that took part"),
         "tilts": [Picture("Tilts of the boards; rings at 20° and 40°", tilt_picture(done))],
@@ -299,11 +300,11 @@ def _pictures(done: CalibratedRig) -> dict[str, list[Picture]]:
     reliefs = [plane.relief.height_mm for plane in done.planes]
     pictures["plane"] = [
         Picture(f"Board of {plane.pose}, its plane removed", picture)
-        for plane, picture in zip(done.planes, _of_one_scale(reliefs), strict=True)
+        for plane, picture in zip(done.planes, _of_one_scale(reliefs, "height"), strict=True)
     ]
     repeatability = done.repeatability
     if repeatability is not None:
-        differences = _of_one_scale(list(repeatability.difference_mm))
+        differences = _of_one_scale(list(repeatability.difference_mm), "difference")
         pictures["repeatability"] = [
             Picture(f"Board of {plane.pose} less the mean of the others", picture)
             for plane, picture in zip(done.planes, differences, strict=True)

@@ -57,14 +57,14 @@ def response_picture(curve: ResponseCurve) -> bytes:
 
 def flat_field_picture(field: FlatField) -> bytes:
     """A camera's answer to even light over its picture, as PNG."""
-    figure = Figure(figsize=(4.6, 3.8), layout="constrained", dpi=_DPI)
+    tall = 0.8 * 4.6 * field.height / field.width + 0.6
+    figure = Figure(figsize=(4.6, tall), layout="compressed", dpi=_DPI)
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     x, y = (np.linspace(0, size - 1, 97) for size in (field.width, field.height))
     gain = field.gain(np.stack(np.meshgrid(x, y), axis=-1))
     shown = axes.pcolormesh(x, y, gain, cmap="gray", shading="gouraud", vmax=1)
     lines = axes.contour(x, y, gain, 6, colors="#b3402a", linewidths=0.7)
-    axes.clabel(lines, fontsize=7, fmt="%.3g")
     axes.plot(*field.centre, "+", color="#b3402a")
     axes.set_xlim(-0.5, field.width - 0.5)
     axes.set_ylim(field.height - 0.5, -0.5)
@@ -72,7 +72,8 @@ def flat_field_picture(field: FlatField) -> bytes:
     axes.set_xlabel("camera column, px", fontsize=8)
     axes.set_ylabel("row, px", fontsize=8)
     axes.tick_params(labelsize=7)
-    bar = figure.colorbar(shown, ax=axes, shrink=0.85)
+    bar = figure.colorbar(shown, ax=axes)
+    bar.add_lines(lines)
     bar.set_label("answer to even light", fontsize=8)
     bar.ax.tick_params(labelsize=7)
     return figure_png(figure, dpi=_DPI)
