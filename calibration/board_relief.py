@@ -8,11 +8,16 @@ views is the calibration's error and the noise.
 Rays that pass beside a tilted board meet a wall where the board's columns and rows would be, so
 what belongs to it is told in the picture: pixels inside the outline of its corners' rectangle. Of
 these, points far off the surface that the others form are something before the board.
+
+Where both axes were decoded, only that along the baseline is asked for depth. The other tells
+hardly anything of it, but if camera and projector have moved since by some ten-thousandths of a
+radian the two disagree by a pixel, and variances that follow the fringes weave that into the
+surface.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -21,8 +26,10 @@ from scipy.ndimage import gaussian_filter
 
 from acquisition.correspondence import CorrespondenceMap
 from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
+from acquisition.patterns import Axis
 from calibration.boards import Chessboard
 from calibration.errors import CalibrationError
+from calibration.lens import transform
 from calibration.rig_geometry import RigGeometry
 from calibration.triangulation import reconstruct_points
 
@@ -130,7 +137,8 @@ def reconstruct_board(
     CalibrationError
         Corners missing or not reconstructed, or much of the board hidden.
     """
-    points, variance = reconstruct_points(correspondence, rig, start_mm=start_mm)
+    single = _along_baseline(correspondence, corners, rig, start_mm)
+    points, variance = reconstruct_points(single, rig, start_mm=start_mm)
     found = _corner_points(points, variance, corners, correspondence.origin, rig)
     known = np.isfinite(found).all(axis=-1)
     if known.sum() < _LEAST_CORNERS_SHARE * known.size:
@@ -167,6 +175,21 @@ def reconstruct_board(
         float(off_share),
         smoothed_noise,
     )
+
+
+def _along_baseline(
+    correspondence: CorrespondenceMap,
+    corners: NDArray[np.float64],
+    rig: RigGeometry,
+    start_mm: float,
+) -> CorrespondenceMap:
+    """With the one axis that moves more when a point in the board's middle moves on its ray."""
+    ray = rig.camera.unproject(np.nanmean(corners, axis=(0, 1)))
+    ends = np.outer([start_mm, 1.01 * start_mm], ray / ray[2])
+    moved = np.abs(np.diff(rig.projector.project(transform(rig.rt_proj_cam, ends)), axis=0)[0])
+    by_axis = dict(zip((Axis.COLUMN, Axis.ROW), moved, strict=True))
+    axis = max(correspondence.axes, key=lambda axis: by_axis[axis])
+    return replace(correspondence, axes={axis: correspondence.axes[axis]})
 
 
 def compare_reliefs(reliefs: list[BoardRelief]) -> Repeatability:

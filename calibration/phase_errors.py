@@ -2,7 +2,11 @@ r"""Systematic errors of fringe phases on a board, estimated from the board's sm
 
 Over a board the projector coordinate is a smooth function of the pixel. Whatever is not smooth is
 error, and two kinds of it are the same function everywhere, so they can be fitted beside the
-surface, linearly and robustly, and subtracted:
+surface, linearly and robustly, and subtracted. Robustly means more than single pixels: blisters of
+the paper are lower than a pixel's noise, and where they lie along the fringes they look like waves
+of their period. Averaged over a neighbourhood they stand out, and the whole of it is left out.
+
+The two kinds are
 
 * **The projector's response and the light's unsteadiness.** A periodic error
   :math:`\sum a_m\cos m\varphi + b_m\sin m\varphi`: harmonics of order mN ± 1 fold onto N steps,
@@ -38,7 +42,9 @@ ORDERS = (1, 2, 3, 4, 5, 6, 9)
 BLUR_WIDTHS_PX = (0.7, 1.5, 3.0, 6.0)
 _DEGREE = 8
 _TUKEY = 4.7
-_ROUNDS = 8
+# Side of the neighbourhoods that lie on the surface as a whole or not: less than a blister.
+_NEIGHBOURHOOD_PX = 12
+_ROUNDS = 15
 _SETTLED = 1e-4
 _MOST_PIXELS = 120_000
 _LEAST_PIXELS = 2_000
@@ -176,7 +182,11 @@ def _compensate_axis(
     waves = _waves(2 * np.pi * observed / axis.period_px)
     design = np.hstack([smooth, waves, np.stack([e[sampled] for e in edge], axis=1)])
     weight = 1 / np.sqrt(np.asarray(axis.variance[sampled], np.float64))
-    solution, sigma = _robust_fit(design, observed, weight)
+    row, col = np.nonzero(sampled)
+    member = np.unique(np.stack([row, col]) // _NEIGHBOURHOOD_PX, axis=1, return_inverse=True)[
+        1
+    ].ravel()
+    solution, sigma = _robust_fit(design, observed, weight, member)
     start, stop = smooth.shape[1], smooth.shape[1] + waves.shape[1]
     error = np.tensordot(solution[stop:], np.stack(edge), axes=1)
     phase = 2 * np.pi * axis.coordinate / axis.period_px
@@ -222,18 +232,36 @@ def _waves(phase: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _robust_fit(
-    design: NDArray[np.float64], observed: NDArray[np.float64], weight: NDArray[np.float64]
+    design: NDArray[np.float64],
+    observed: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    member: NDArray[np.int_],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Weighted least squares with Tukey's function, and the solution's standard errors."""
+    """Weighted least squares with Tukey's function, and the solution's standard errors.
+
+    The function is asked of each observation, and of each neighbourhood's mean; ``member`` tells
+    which one an observation is of.
+    """
     robust, scale = weight, np.inf
+    known = np.sqrt(np.bincount(member, weight**2))
     for _ in range(_ROUNDS):
         before = scale
         weighted = design * robust[:, np.newaxis]
         normal = weighted.T @ weighted
         solution = np.linalg.lstsq(normal, weighted.T @ (observed * robust), rcond=1e-12)[0]
         residual = (observed - design @ solution) * weight
-        scale = MEDIAN_TO_SIGMA * float(np.median(np.abs(residual))) + 1e-12
+        mean = np.bincount(member, weight * residual) / known
+        scale = _scale(residual)
         if abs(scale - before) < _SETTLED * scale:
             break
-        robust = weight * np.clip(1 - (residual / (_TUKEY * scale)) ** 2, 0, None)
+        robust = weight * _tukey(residual / scale) * _tukey(mean / _scale(mean))[member]
     return solution, scale * np.sqrt(np.diag(np.linalg.pinv(normal, rcond=1e-12)))
+
+
+def _scale(residual: NDArray[np.float64]) -> float:
+    return MEDIAN_TO_SIGMA * float(np.median(np.abs(residual))) + 1e-12
+
+
+def _tukey(residual: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Square root of Tukey's weight of a residual in standard deviations."""
+    return np.clip(1 - (residual / _TUKEY) ** 2, 0, None)

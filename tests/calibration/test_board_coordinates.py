@@ -28,8 +28,11 @@ def corners():
     return np.stack([130.0 + 46.3 * col + 2 * row, 80 + 47.7 * row - 1.5 * col], axis=-1)
 
 
-def board_map(*, sigma=0.2, harmonic_px=0.0, blur=False, seed=0):
-    """A decoded chessboard: noise by modulation, a periodic error, blur across its edges."""
+def board_map(*, sigma=0.2, harmonic_px=0.0, blur=False, blisters_px=0.0, seed=0):
+    """A decoded chessboard: noise by modulation, a periodic error, blur across its edges.
+
+    Blisters along the fringes, a period apart, show in the columns.
+    """
     rng = np.random.default_rng(seed)
     row, col = np.indices(SHAPE, dtype=float)
     pixels = np.stack([col + ORIGIN[0], row + ORIGIN[1]], axis=-1)
@@ -44,6 +47,9 @@ def board_map(*, sigma=0.2, harmonic_px=0.0, blur=False, seed=0):
         x = true[..., number]
         if blur:
             x = gaussian_filter(reflectance * x, BLUR) / modulation
+        if axis is Axis.COLUMN:
+            ridge = np.cos(np.pi * x / PERIOD) ** 16 * (np.abs(row - 160) < 60)
+            x = x + blisters_px * ridge * (np.abs(x - 480) < 1.5 * PERIOD)
         x = x + harmonic_px * np.cos(3 * 2 * np.pi * x / PERIOD)
         noise = sigma * 60 / modulation
         axes[axis] = AxisCoordinate(
@@ -101,6 +107,12 @@ def test_periodic_errors_are_found_and_subtracted():
     # In the dark squares the phase itself, at which the error is taken, is too noisy to tell.
     bright = observed.axes[Axis.COLUMN].modulation > 50
     assert left[40:-40, 40:-40][bright[40:-40, 40:-40]].std() < 0.15 * periodic.std()
+
+
+def test_blisters_below_a_pixel_s_noise_are_no_periodic_error():
+    _, errors = compensate_phase_errors(board_map(sigma=0.5, blisters_px=1.0), corners())
+    found = errors[Axis.COLUMN]
+    assert (found.amplitude_px < 4 * found.sigma_px + 0.003).all()
 
 
 def test_the_pull_of_bright_squares_at_edges_is_removed():

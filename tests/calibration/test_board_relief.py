@@ -5,10 +5,14 @@ import pytest
 
 from acquisition.correspondence import AxisCoordinate, CorrespondenceMap
 from acquisition.patterns import Axis
-from calibration.board_relief import compare_reliefs, reconstruct_board
+from calibration.board_relief import (
+    compare_reliefs,
+    deviation_from_polynomial,
+    reconstruct_board,
+)
 from calibration.boards import Chessboard
 from calibration.errors import CalibrationError
-from calibration.lens import Lens, rotation, transform
+from calibration.lens import Lens, compose, rotation, transform
 from calibration.rig_geometry import RigGeometry
 
 BOARD = Chessboard(columns=9, rows=6, square_mm=8.0)
@@ -25,8 +29,11 @@ def rig():
     return RigGeometry(camera, projector, np.array([0.0, 0.35, 0.0, -160.0, 0.0, 30.0]))
 
 
-def seen(rig, *, tilt=(0.0, 0.0), finger=False, seed=0):
-    """What a scan of a tilted board before a wall decodes, and where its corners are."""
+def seen(rig, *, tilt=(0.0, 0.0), finger=False, turned=0.0, seed=0):
+    """What a scan of a tilted board before a wall decodes, and where its corners are.
+
+    The projector has turned across the baseline, and noise follows the fringes.
+    """
     pose = np.array([tilt[0], tilt[1], 0.1, 0.0, 0.0, 0.0])
     middle = 0.5 * BOARD.points[-1, -1]
     pose[3:] = [0.0, 0.0, DISTANCE_MM] - rotation(pose) @ middle
@@ -47,12 +54,14 @@ def seen(rig, *, tilt=(0.0, 0.0), finger=False, seed=0):
         white = np.where(hidden, 400.0, white)
     points = depth[..., np.newaxis] * rays
     random = np.random.default_rng(seed)
-    lit = rig.projector.project(transform(rig.rt_proj_cam, points))
-    lit += random.normal(0, SIGMA_PX, lit.shape)
+    moved = compose(np.array([turned, 0.0, 0.0, 0.0, 0.0, 0.0]), rig.rt_proj_cam)
+    lit = rig.projector.project(transform(moved, points))
+    sigma = SIGMA_PX * np.sqrt(1 + 0.8 * np.cos(2 * np.pi * lit / 16.0))
+    lit += random.normal(0, 1, lit.shape) * sigma
     axes_seen = {
         axis: AxisCoordinate(
             lit[..., n],
-            np.full(SHAPE, SIGMA_PX**2, np.float32),
+            (sigma[..., n] ** 2).astype(np.float32),
             np.full(SHAPE, 100.0, np.float32),
             16.0,
             0.0,
@@ -86,6 +95,14 @@ def test_boards_at_several_tilts_agree_to_their_noise(rig):
     ]
     together = np.hypot(*(relief.smoothed_noise_mm for relief in reliefs))
     assert compare_reliefs(reliefs).rms_mm == pytest.approx(together, rel=0.25)
+
+
+def test_a_projector_that_has_turned_weaves_no_fringes_into_the_board(rig):
+    # Across the baseline, by less than a pixel; what is left besides is smooth.
+    relief = relief_of(rig, tilt=(0.0, 0.4), turned=1e-3)
+    assert deviation_from_polynomial(relief.height_mm, 3) == pytest.approx(
+        relief.smoothed_noise_mm, rel=0.25
+    )
 
 
 def test_a_finger_before_the_board_is_left_out_and_a_hand_refused(rig):
