@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import inspect
 import json
 import re
 import shlex
@@ -19,12 +20,15 @@ from synthetic_scan import expose, fringe_patterns, make_plan
 from acquisition.patterns import Axis
 from acquisition.session_writer import SessionWriter
 from calibration.opencv_files import write_matrices
+from devices.simulated.rig import demo_rig
 from fitting.copy_files import read_copy, write_copy
 from render.painting_node import Mode
 from render.views import NamedView
 from workstation import commands
+from workstation.demonstration import record_simulated_scan
 
-CAPTURES = Path(__file__).parents[2] / "fixtures" / "captures"
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+CAPTURES, SIMULATED_RIG = FIXTURES / "captures", FIXTURES / "rigs" / "simulated.toml"
 
 
 def test_help_names_every_command_and_each_shows_an_example():
@@ -36,11 +40,43 @@ def test_help_names_every_command_and_each_shows_an_example():
     assert len(names) >= 11
     for command in names:
         assert command in overview.stdout
-        text = impasto(command, "--help").stdout
-        assert "Example:" in text
-        example = re.search(rf"impasto {command} .*", text)
-        assert example
-        assert shlex.split(example.group())
+        assert "Example:" in impasto(command, "--help").stdout
+
+
+def examples():
+    """Every command line of the commands' examples: the command, and its words."""
+    app = typer.Typer()
+    commands.register(app)
+    for command in app.registered_commands:
+        example = inspect.getdoc(command.callback).split("Example:")[1]
+        for line in re.sub(r"\s*\\?\n {4,}", " ", example.replace("\n\n", "\0")).split("\0"):
+            for name, words in re.findall(r"\bimpasto ([a-z]+) ([^;\n]*)", line):
+                yield name, shlex.split(words)
+
+
+def test_examples_are_what_commands_take(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    app = typer.Typer()
+    commands.register(app)
+    found = typer.main.get_command(app).commands
+    shown = list(examples())
+    assert {name for name, _ in shown} == set(found)
+    for name, words in shown:
+        # Options, the kinds of their values, and what cannot go without what.
+        found[name].make_context(name, words).close()
+
+
+def test_examples_run_in_a_folder_with_what_they_name(tmp_path):
+    (tmp_path / "rig.toml").write_bytes(SIMULATED_RIG.read_bytes())
+    record_simulated_scan(demo_rig(camera_width=80), tmp_path / "session")
+    ran = {}
+    for name, words in examples():
+        if name in ("devices", "replay", "process", "render") and name not in ran:
+            ran[name] = impasto(name, *words, cwd=tmp_path)
+    assert len(ran) == 4
+    assert {name: one.stderr for name, one in ran.items() if one.returncode} == {}
+    for made in ("again", "copy", "grazing.png"):
+        assert (tmp_path / made).exists()
 
 
 def test_render_writes_linear_and_display_pictures(tmp_path):
