@@ -9,22 +9,29 @@ from devices.errors import ImpastoError
 from workstation.benchmarks import interruptions
 from workstation.benchmarks.interruptions import Command, interrupt, spread_moments
 
-# A command that takes its time, and writes two files at its end, which nothing cuts off; {late} is
-# what it does on SIGINT before.
+# A command that waits for the signal and takes its time, and then writes two files, which nothing
+# cuts off; {late} is what it does when it is struck before.
 WORK = """
 import signal, sys, time
 from pathlib import Path
 folder = Path(sys.argv[1])
-def stop(number, frame):
-    {late}
-    sys.exit(130)
-signal.signal(signal.SIGINT, stop)
-until = time.monotonic() + 0.3
+signal.pthread_sigmask(signal.SIG_BLOCK, {{signal.SIGINT}})
+until = time.monotonic() + 0.5
 while time.monotonic() < until:
     time.sleep(0.01)
-signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if signal.SIGINT in signal.sigpending():
+        {late}
+        sys.exit(130)
 (folder / "a").write_text("whole")
 (folder / "b").write_text("whole")
+"""
+# One that never waits for it, and ends in its own way.
+LOADING = """
+import os, signal, sys, time
+signal.signal(signal.SIGINT, lambda number, frame: os._exit(1))
+time.sleep(0.3)
+for name in "ab":
+    open(f"{sys.argv[1]}/{name}", "w").write("whole")
 """
 
 
@@ -34,16 +41,15 @@ def check(folder):
             raise ImpastoError(f"{name} is half")
 
 
-def interrupted(tmp_path, monkeypatch, late, times=6):
-    # Deaf until it listens, as the interpreter that is struck while it loads ends in its own ways.
+def interrupted(tmp_path, monkeypatch, script, times=6):
+    # Deaf until it listens: a bare interpreter that is struck leaves what it may.
     deaf = ["/bin/sh", "-c", "trap '' INT; exec \"$@\"", "deaf"]
-    words = [*deaf, sys.executable, "-S", "-c", WORK.format(late=late)]
-    monkeypatch.setattr(interruptions, "IMPASTO", words)
+    monkeypatch.setattr(interruptions, "IMPASTO", [*deaf, sys.executable, "-S", "-c", script])
     return interrupt(Command("made up", lambda folder: [str(folder)], check), tmp_path, times=times)
 
 
 def test_a_command_that_leaves_nothing_is_found_to(tmp_path, monkeypatch):
-    done = interrupted(tmp_path, monkeypatch, "pass")
+    done = interrupted(tmp_path, monkeypatch, WORK.format(late="pass"))
     assert done.wrong == []
     assert len(done.moments_s) == 6
     # Over all of the run time, in equal parts of it.
@@ -56,16 +62,21 @@ def test_a_command_that_leaves_nothing_is_found_to(tmp_path, monkeypatch):
     [
         ('(folder / "a").write_text("whole")', "left a"),
         ('[(folder / n).write_text("half") for n in "ab"]', "a is half"),
-        ("sys.exit(1)", "ended with 1"),
+        ('sys.exit("because")', "ended with 1: because"),
         ('[(folder / n).write_text("whole") for n in "abc"]', "left a, b, c"),
     ],
 )
 def test_what_is_left_half_is_found(tmp_path, monkeypatch, late, said):
-    monkeypatch.setattr(interruptions, "_LOADING_S", 0.0)
-    done = interrupted(tmp_path, monkeypatch, late, times=4)
-    # Struck before it listens to the signal it goes on, and all it makes is whole.
-    assert len(done.wrong) >= 2
+    done = interrupted(tmp_path, monkeypatch, WORK.format(late=late), times=4)
+    # Struck before it waits for the signal it goes on, and all it makes is whole.
+    assert done.wrong
     assert all(said in wrong for wrong in done.wrong)
+
+
+def test_a_command_that_is_struck_while_it_loads_may_end_with_an_error(tmp_path, monkeypatch):
+    done = interrupted(tmp_path, monkeypatch, LOADING)
+    assert done.wrong == []
+    assert len(done.moments_s) == 6
 
 
 def test_a_command_that_fails_by_itself_is_told(tmp_path, monkeypatch):

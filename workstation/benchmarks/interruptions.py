@@ -7,6 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -28,10 +29,8 @@ _PATIENCE_S = 120.0
 # Draws of moments for those at which the command had ended already.
 _ROUNDS = 6
 INTERRUPTED = 130
-# A signal that comes before the command has begun ends the interpreter by its default action.
-_ENDED_INTERRUPTED = {INTERRUPTED, -signal.SIGINT}
-# While it loads its own modules the interpreter may also end with an error.
-_LOADING_S = 0.5
+# Before the command listens the interpreter loads: a signal ends it by default, or with an error.
+_ENDED_LOADING = {-signal.SIGINT, 1}
 
 
 @dataclass(frozen=True)
@@ -96,12 +95,34 @@ class Interruptions:
 
 
 @dataclass(frozen=True)
-class _End:
-    """Whether a run was struck, seconds until then or its end, exit code, what it left half."""
+class _Cut:
+    """How a run ended.
+
+    Attributes
+    ----------
+    struck : bool
+        Whether it ran when it was to be struck.
+    listened : bool
+        Whether it waited for the signal by then.
+    seconds : float
+        From its start until it was struck, or until its end.
+    code : int
+    said : str
+        Last line of its messages.
+    """
 
     struck: bool
+    listened: bool
     seconds: float
     code: int
+    said: str
+
+
+@dataclass(frozen=True)
+class _End:
+    """How a run was cut off, and what it left half."""
+
+    cut: _Cut
     wrong: str | None
 
 
@@ -158,16 +179,17 @@ def interrupt(
             ends = list(pool.map(lambda job: _once(command, whole, *job), jobs))
         for end in ends:
             if end.wrong:
-                done.wrong.append(f"{command.name} after {end.seconds:.2f} s: {end.wrong}")
-            if end.struck:
+                done.wrong.append(f"{command.name} after {end.cut.seconds:.2f} s: {end.wrong}")
+            if end.cut.struck:
                 advance()
-                done.moments_s.append(end.seconds)
-                done.finished += end.code == 0
-        missed = [end.seconds for end in ends if not end.struck]
-        done.missed += len(missed)
-        if missed:
+                done.moments_s.append(end.cut.seconds)
+                done.finished += end.cut.code == 0
+            else:
+                done.missed += 1
+        whole_s = [end.cut.seconds for end in ends if not end.cut.struck and end.cut.code == 0]
+        if whole_s:
             # What they took tells better how long the command runs by now.
-            done.lasting_s = float(np.mean(missed))
+            done.lasting_s = float(np.mean(whole_s))
     return done
 
 
@@ -211,21 +233,22 @@ def _once(command: Command, whole: _Whole, folder: Path, moment: float) -> _End:
     folder.mkdir()
     command.prepare(folder)
     before = {path.name for path in folder.iterdir()}
-    struck, seconds, code = _cut_off(command.words(folder), moment, signal.SIGINT)
-    if code == 1 and moment < _LOADING_S:
-        code = INTERRUPTED
-    wrong = _left_behind(command, whole, folder, before, code)
+    cut = _cut_off(command.words(folder), moment, signal.SIGINT)
+    wrong = _left_behind(command, whole, folder, before, cut)
     shutil.rmtree(folder)
-    return _End(struck, seconds, code, wrong)
+    return _End(cut, wrong)
 
 
 def _left_behind(
-    command: Command, whole: _Whole, folder: Path, before: set[str], ended: int
+    command: Command, whole: _Whole, folder: Path, before: set[str], cut: _Cut
 ) -> str | None:
-    if ended != 0 and ended not in _ENDED_INTERRUPTED:
-        return f"ended with {ended}"
+    ended = cut.code
+    if cut.struck and not cut.listened and ended in _ENDED_LOADING:
+        ended = INTERRUPTED
+    if ended not in (0, INTERRUPTED):
+        return f"ended with {ended}: {cut.said}"
     if ended != 0 and command.resumable is not None:
-        return _resume(folder / command.resumable, whole if command.same else None, before)
+        return _resume(folder / command.resumable, whole.digest if command.same else None, before)
     left = {path.name for path in folder.iterdir()} - command.kept
     if ended != 0 and left <= before:
         return None
@@ -239,31 +262,54 @@ def _left_behind(
     return None
 
 
-def _resume(session: Path, whole: _Whole | None, before: set[str]) -> str | None:
+def _resume(session: Path, digest: str | None, before: set[str]) -> str | None:
     """Go on with a session that was cut off; what it lacks then of a whole one."""
     left = {path.name for path in session.parent.iterdir()}
     if not left - before - {session.name}:
         if not session.exists():
             return None
-        words = [*IMPASTO, "resume", str(session)]
-        ended = subprocess.run(words, capture_output=True, text=True, check=False)
-        if ended.returncode:
-            return f"cannot be resumed: {ended.stderr.strip()}"
+        return _resumed(session, digest)
+    return _opened(session, digest)
+
+
+def _resumed(session: Path, digest: str | None) -> str | None:
+    """Go on with a session; what is wrong with it then."""
+    words = [*IMPASTO, "resume", str(session)]
+    ended = subprocess.run(words, capture_output=True, text=True, check=False)
+    if ended.returncode:
+        return f"cannot be resumed: {ended.stderr.strip()}"
+    return _opened(session, digest)
+
+
+def _opened(session: Path, digest: str | None) -> str | None:
+    """What is wrong with a session that should be whole, and have a digest if one is given."""
     try:
-        digest = Session.open(session).digest
+        found = Session.open(session).digest
     except SessionError as error:
         return f"resumed to what is not whole: {error}"
-    same = whole is None or digest == whole.digest
-    return None if same else "resumed to another manifest"
+    return None if digest in (None, found) else "resumed to another manifest"
 
 
-@dataclass(frozen=True)
+@dataclass
 class Recordings:
-    """Recordings killed and resumed: frames acknowledged and lost, and what else was wrong."""
+    """Recordings killed and resumed.
 
-    kills: int
-    lost_frames: int
-    wrong: tuple[str, ...]
+    Attributes
+    ----------
+    kills : int
+        While they recorded.
+    lost_frames : int
+        That had been acknowledged.
+    missed : int
+        Runs that were killed before they recorded anything, or had ended.
+    wrong : list of str
+        What could not be gone on with.
+    """
+
+    kills: int = 0
+    lost_frames: int = 0
+    missed: int = 0
+    wrong: list[str] = field(default_factory=list)
 
 
 def kill_recordings(
@@ -285,40 +331,51 @@ def kill_recordings(
     times : int
     seed : int
     advance : callable
-        Called for each recording.
+        Called for each recording that was killed.
 
     Returns
     -------
     Recordings
     """
     random = np.random.default_rng(seed)
-    begun = time.perf_counter()
-    whole = place / "whole"
+    done = Recordings()
     scan = ["scan", str(rig), "--out"]
-    subprocess.run([*IMPASTO, *scan, str(whole)], capture_output=True, check=True)
-    lasting = time.perf_counter() - begun
-    digest = Session.open(whole).digest
-    moments = random.uniform(0.3 * lasting, lasting, times)
 
-    def once(number: int) -> tuple[int, str | None]:
-        out = place / str(number)
-        _cut_off([*scan, str(out)], float(moments[number]), signal.SIGKILL)
-        advance()
-        if not (out / JOURNAL_FILE).is_file():
-            shutil.rmtree(out, ignore_errors=True)
-            return 0, None
-        lost = _lost_frames(out)
-        subprocess.run([*IMPASTO, "resume", str(out)], capture_output=True, check=False)
-        try:
-            wrong = None if Session.open(out).digest == digest else "resumed to another manifest"
-        except SessionError as error:
-            wrong = str(error)
-        shutil.rmtree(out)
-        return lost, wrong and f"scan killed after {moments[number]:.2f} s: {wrong}"
+    def record(number: int) -> float:
+        begun = time.perf_counter()
+        words = [*IMPASTO, *scan, str(place / f"whole-{number}")]
+        subprocess.run(words, capture_output=True, check=True)
+        return time.perf_counter() - begun
 
     with ThreadPoolExecutor(_AT_ONCE) as pool:
-        ends = list(pool.map(once, range(times)))
-    return Recordings(times, sum(n for n, _ in ends), tuple(wrong for _, wrong in ends if wrong))
+        lasting_s = float(np.mean(list(pool.map(record, range(_AT_ONCE)))))
+    digest = Session.open(place / "whole-0").digest
+
+    def once(job: tuple[int, float]) -> None:
+        out = place / str(job[0])
+        cut = _cut_off([*scan, str(out)], job[1], signal.SIGKILL)
+        if not (cut.struck and (out / JOURNAL_FILE).is_file()):
+            done.missed += 1
+            shutil.rmtree(out, ignore_errors=True)
+            return
+        done.kills += 1
+        advance()
+        done.lost_frames += _lost_frames(out)
+        wrong = _resumed(out, digest)
+        if wrong:
+            done.wrong.append(f"scan killed after {cut.seconds:.2f} s: {wrong}")
+        shutil.rmtree(out)
+
+    number = 0
+    for _ in range(_ROUNDS):
+        missing = times - done.kills
+        if missing == 0:
+            break
+        moments = spread_moments(missing, lasting_s, random).tolist()
+        with ThreadPoolExecutor(_AT_ONCE) as pool:
+            list(pool.map(once, enumerate(moments, start=number)))
+        number += missing
+    return done
 
 
 def _lost_frames(session: Path) -> int:
@@ -332,20 +389,39 @@ def _lost_frames(session: Path) -> int:
     return lost
 
 
-def _cut_off(words: list[str], after_s: float, sign: signal.Signals) -> tuple[bool, float, int]:
-    """Whether the command ran when it was to be struck, seconds until then or its end, its code."""
-    begun = time.perf_counter()
-    running = subprocess.Popen(
-        [*IMPASTO, *words], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
+def _cut_off(words: list[str], after_s: float, sign: signal.Signals) -> _Cut:
+    """Run a command and strike it."""
+    with tempfile.TemporaryFile() as messages:
+        begun = time.perf_counter()
+        running = subprocess.Popen([*IMPASTO, *words], stdout=subprocess.DEVNULL, stderr=messages)
+        struck = listened = False
+        try:
+            code = running.wait(timeout=after_s)
+            seconds = time.perf_counter() - begun
+        except subprocess.TimeoutExpired:
+            struck, listened = True, _listens(running.pid)
+            running.send_signal(sign)
+            seconds = time.perf_counter() - begun
+            code = _end_of(running)
+        messages.seek(0)
+        lines = messages.read().decode(errors="replace").split("\n")
+    said = next((line for line in reversed(lines) if line.strip()), "no message")
+    return _Cut(struck, listened, seconds, code, said)
+
+
+def _end_of(running: subprocess.Popen[bytes]) -> int:
     try:
-        code = running.wait(timeout=after_s)
-        return False, time.perf_counter() - begun, code
-    except subprocess.TimeoutExpired:
-        running.send_signal(sign)
-    struck = time.perf_counter() - begun
-    try:
-        return True, struck, running.wait(timeout=_PATIENCE_S)
+        return running.wait(timeout=_PATIENCE_S)
     except subprocess.TimeoutExpired:
         running.kill()
-        return True, struck, running.wait()
+        return running.wait()
+
+
+def _listens(process: int) -> bool:
+    """Whether a process blocks SIGINT: the command then waits for it in a thread of its own."""
+    try:
+        status = Path(f"/proc/{process}/status").read_text()
+    except OSError:  # it has ended
+        return False
+    blocked = next(line for line in status.splitlines() if line.startswith("SigBlk:"))
+    return bool(int(blocked.split()[1], 16) >> (signal.SIGINT - 1) & 1)

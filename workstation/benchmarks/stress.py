@@ -289,6 +289,8 @@ def _kill_records(recordings: Recordings) -> list[Record]:
             bound=_KILLS,
             sense=Sense.AT_LEAST,
             runs=recordings.kills,
+            note=f"while they recorded; {recordings.missed} other runs were killed before, or had "
+            "ended",
         ),
         Record(
             name="stress.lost_frames",
