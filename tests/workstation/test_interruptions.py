@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import subprocess
 import sys
 
 import numpy as np
@@ -84,6 +85,44 @@ def test_a_command_that_fails_by_itself_is_told(tmp_path, monkeypatch):
     done = interrupt(Command("made up", lambda folder: [], check), tmp_path, times=3)
     assert "ZeroDivisionError" in done.wrong[0]
     assert done.moments_s == []
+
+
+def test_what_is_left_on_is_found_however_a_run_ends(tmp_path, monkeypatch):
+    monkeypatch.setattr(interruptions, "IMPASTO", [sys.executable, "-S", "-c", "1 / 0"])
+    writes = 'import sys; [open(f"{sys.argv[1]}/{name}", "w").write("whole") for name in "ab"]'
+    command = Command(
+        "made up",
+        lambda folder: [str(folder)],
+        check,
+        program=(sys.executable, "-S", "-c", writes),
+        afterwards=lambda folder: "left on" if (folder / "a").is_file() else None,
+    )
+    done = interrupt(command, tmp_path, times=1)
+    assert "left on" in done.wrong[0]
+
+
+LIGHTS_UP = """
+import sys
+from workstation import command_line
+from workstation.benchmarks import watched_lamp
+def command():
+    from devices.interfaces import ArmPose
+    from devices.simulated.light_arm import ArmMechanism
+    ArmMechanism(ArmPose(0, 1)).lamp_on = {lit}
+    sys.exit({code})
+command_line.main = command
+sys.argv = ["impasto", sys.argv[1]]
+watched_lamp.main()
+"""
+
+
+@pytest.mark.parametrize(("lit", "code"), [(True, 130), (False, 130), (True, 0)])
+def test_whether_the_lamp_is_lit_in_the_end_is_told(tmp_path, lit, code):
+    file = tmp_path / "lamp"
+    script = LIGHTS_UP.format(lit=lit, code=code)
+    ended = subprocess.run([sys.executable, "-c", script, str(file)], check=False)
+    assert ended.returncode == code
+    assert file.read_text() == ("lit" if lit else "dark")
 
 
 def test_moments_are_spread_over_all_of_the_time():

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,8 +22,10 @@ from devices.simulated.arm_targets import white_reflectance
 from fitting.copy_files import read_copy
 from fitting.reflectance.clusters import ClusterOptions
 from fitting.reflectance.lamp_table import LampTable
+from workstation.benchmarks import watched_lamp
 from workstation.benchmarks.fuzz_targets import DOME_FILE, write_capture, write_dome
 from workstation.benchmarks.interruptions import IMPASTO, Command
+from workstation.benchmarks.watched_lamp import LIT
 from workstation.copy_writing import write_processed
 from workstation.demo_processing import LAMPS_FILE, RIG_FOLDER, process_demo
 from workstation.demo_recording import (
@@ -73,6 +76,8 @@ _FEW_PHOTOGRAPHS = ("--exposure", "2", "--exposure", "40", "--poses", "3", "--st
 # Results of stages, which the next run takes up.
 _STAGES = frozenset({"out-stages"})
 _FIGURES = "figures.json"
+# What the lamp is in the end.
+_LAMP = "lamp"
 _DOME_LIGHTS = 12
 # The frames of a session that is resumed, of all.
 _RECORDED_SHARE = 0.3
@@ -167,8 +172,8 @@ def commands(inputs: Inputs) -> dict[str, Callable[[], Command]]:
         "devices": lambda: _devices(inputs),
         "calibrate": lambda: _calibrate(inputs),
         "calibrate --rig": lambda: _calibrate_lights(inputs),
-        "scan": lambda: _record("scan", inputs, _FEW_FRAMES),
-        "photograph": lambda: _record("photograph", inputs, _FEW_PHOTOGRAPHS),
+        "scan": lambda: _scan(inputs),
+        "photograph": lambda: _photograph(inputs),
         "resume": lambda: _resume(inputs),
         "replay": lambda: _replay(inputs),
         "import": lambda: _import(inputs),
@@ -238,11 +243,33 @@ def _calibrate_lights(inputs: Inputs) -> Command:
     return Command("calibrate --rig", all_words, check)
 
 
-def _record(name: str, inputs: Inputs, given: tuple[str, ...]) -> Command:
-    words = _words(name, str(inputs.rig), *given)
-    # Photographs have a reference pose that comes again, and a simulated sensor the noise of the
-    # first, second and third frame of it, which a rig that was switched on anew counts anew.
-    return Command(name, words, _check_session, resumable="out", same=name == "scan")
+def _scan(inputs: Inputs) -> Command:
+    words = _words("scan", str(inputs.rig), *_FEW_FRAMES)
+    return Command("scan", words, _check_session, resumable="out")
+
+
+def _photograph(inputs: Inputs) -> Command:
+    words = _words("photograph", str(inputs.rig), *_FEW_PHOTOGRAPHS)
+
+    def watched(folder: Path) -> list[str]:
+        return [str(folder / _LAMP), *words(folder)]
+
+    def afterwards(folder: Path) -> str | None:
+        lamp = folder / _LAMP
+        return "the lamp was left on" if lamp.is_file() and lamp.read_text() == LIT else None
+
+    return Command(
+        "photograph",
+        watched,
+        _check_session,
+        resumable="out",
+        # There is a reference pose that comes again, and a simulated sensor has the noise of the
+        # first, second and third frame of it, which a rig that was switched on anew counts anew.
+        same=False,
+        kept=frozenset({_LAMP}),
+        program=(sys.executable, "-m", watched_lamp.__name__),
+        afterwards=afterwards,
+    )
 
 
 def _resume(inputs: Inputs) -> Command:

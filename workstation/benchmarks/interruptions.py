@@ -53,6 +53,10 @@ class Command:
         Whether a session that was gone on with has the manifest of one that was not interrupted.
     kept : frozenset of str
         What may be left of an interrupted run besides, and is whole in itself.
+    program : tuple of str, optional
+        What the arguments are given to, instead of ``impasto`` itself.
+    afterwards : callable
+        Given the folder when a run has ended in whatever way: what is wrong then, or None.
     """
 
     name: str
@@ -62,6 +66,12 @@ class Command:
     resumable: str | None = None
     same: bool = True
     kept: frozenset[str] = frozenset()
+    program: tuple[str, ...] | None = None
+    afterwards: Callable[[Path], str | None] = lambda folder: None
+
+    def line(self, folder: Path) -> list[str]:
+        """The whole command line."""
+        return [*(self.program or IMPASTO), *self.words(folder)]
 
 
 @dataclass
@@ -209,10 +219,8 @@ def _run_whole(command: Command, place: Path, done: Interruptions) -> _Whole | N
         folder.mkdir()
         command.prepare(folder)
         begun = time.perf_counter()
-        ended = subprocess.run(
-            [*IMPASTO, *command.words(folder)], capture_output=True, text=True, check=False
-        )
-        failed = ended.stderr.strip() if ended.returncode else None
+        ended = subprocess.run(command.line(folder), capture_output=True, text=True, check=False)
+        failed = ended.stderr.strip() if ended.returncode else command.afterwards(folder)
         return time.perf_counter() - begun, failed
 
     with ThreadPoolExecutor(_AT_ONCE) as pool:
@@ -233,8 +241,8 @@ def _once(command: Command, whole: _Whole, folder: Path, moment: float) -> _End:
     folder.mkdir()
     command.prepare(folder)
     before = {path.name for path in folder.iterdir()}
-    cut = _cut_off(command.words(folder), moment, signal.SIGINT)
-    wrong = _left_behind(command, whole, folder, before, cut)
+    cut = _cut_off(command.line(folder), moment, signal.SIGINT)
+    wrong = command.afterwards(folder) or _left_behind(command, whole, folder, before, cut)
     shutil.rmtree(folder)
     return _End(cut, wrong)
 
@@ -248,7 +256,8 @@ def _left_behind(
     if ended not in (0, INTERRUPTED):
         return f"ended with {ended}: {cut.said}"
     if ended != 0 and command.resumable is not None:
-        return _resume(folder / command.resumable, whole.digest if command.same else None, before)
+        digest = whole.digest if command.same else None
+        return _resume(folder / command.resumable, digest, before, command.kept)
     left = {path.name for path in folder.iterdir()} - command.kept
     if ended != 0 and left <= before:
         return None
@@ -262,9 +271,11 @@ def _left_behind(
     return None
 
 
-def _resume(session: Path, digest: str | None, before: set[str]) -> str | None:
+def _resume(
+    session: Path, digest: str | None, before: set[str], kept: frozenset[str]
+) -> str | None:
     """Go on with a session that was cut off; what it lacks then of a whole one."""
-    left = {path.name for path in session.parent.iterdir()}
+    left = {path.name for path in session.parent.iterdir()} - kept
     if not left - before - {session.name}:
         if not session.exists():
             return None
@@ -353,7 +364,7 @@ def kill_recordings(
 
     def once(job: tuple[int, float]) -> None:
         out = place / str(job[0])
-        cut = _cut_off([*scan, str(out)], job[1], signal.SIGKILL)
+        cut = _cut_off([*IMPASTO, *scan, str(out)], job[1], signal.SIGKILL)
         if not (cut.struck and (out / JOURNAL_FILE).is_file()):
             done.missed += 1
             shutil.rmtree(out, ignore_errors=True)
@@ -389,11 +400,11 @@ def _lost_frames(session: Path) -> int:
     return lost
 
 
-def _cut_off(words: list[str], after_s: float, sign: signal.Signals) -> _Cut:
-    """Run a command and strike it."""
+def _cut_off(line: list[str], after_s: float, sign: signal.Signals) -> _Cut:
+    """Run a command line and strike it."""
     with tempfile.TemporaryFile() as messages:
         begun = time.perf_counter()
-        running = subprocess.Popen([*IMPASTO, *words], stdout=subprocess.DEVNULL, stderr=messages)
+        running = subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=messages)
         struck = listened = False
         try:
             code = running.wait(timeout=after_s)

@@ -1,0 +1,37 @@
+"""The ``impasto`` command, and whether the lamp of its simulated arm is lit when it has ended.
+
+``python -m workstation.benchmarks.watched_lamp FILE WORDS…`` runs the command with its words and at
+its end, however it ends, writes to the file what the lamp truly is.
+"""
+
+from __future__ import annotations
+
+import atexit
+import sys
+from pathlib import Path
+from typing import Any
+
+from devices.simulated.light_arm import ArmMechanism
+
+LIT, DARK = "lit", "dark"
+
+
+def main() -> None:
+    """Run the command in this process."""
+    file = Path(sys.argv.pop(1))
+    arms: list[ArmMechanism] = []
+    made = ArmMechanism.__init__
+
+    def remember(self: ArmMechanism, *given: Any, **named: Any) -> None:
+        made(self, *given, **named)
+        arms.append(self)
+
+    ArmMechanism.__init__ = remember  # type: ignore[method-assign]
+    atexit.register(lambda: file.write_text(LIT if any(arm.lamp_on for arm in arms) else DARK))
+    from workstation.command_line import main as impasto
+
+    impasto()
+
+
+if __name__ == "__main__":
+    main()
