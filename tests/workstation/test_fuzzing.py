@@ -127,6 +127,9 @@ def test_every_kind_of_file_is_read_or_refused_by_name(targets):
     for target in targets.values():
         outcome = fuzz(target, range(15))
         assert outcome.ends[End.UNNAMED] == 0, (target.name, outcome.failures)
-        assert outcome.ends[End.REFUSED] > 0, target.name
+        if target.name == "results of stages":  # made anew
+            assert outcome.ends[End.SAME] == outcome.trials
+        else:
+            assert outcome.ends[End.REFUSED] > 0, target.name
         if target.sealed:
             assert outcome.ends[End.OTHER] == 0, (target.name, outcome.failures)

@@ -7,6 +7,7 @@ import json
 import pickle
 import re
 import shutil
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,8 +20,12 @@ from acquisition.foreign_capture import find_capture, record_capture
 from acquisition.journal import AnyEvent, FrameRecorded, append_event, read_journal
 from acquisition.light_poses import spread_poses
 from acquisition.session import JOURNAL_FILE, MANIFEST_FILE, Session, manifest_text
+from calibration.arm_files import ARM_FILE, load_light_arm, save_light_arm
+from calibration.arm_geometry import ArmParameters
+from calibration.light_arm import LightArm
 from calibration.opencv_files import read_rig_geometry, write_matrices
 from calibration.rig_geometry import RigGeometry
+from devices.interfaces import ArmPose
 from devices.rig_file import read_rig_file
 from devices.simulated.rig import demo_rig
 from fitting.copy_files import read_copy, write_copy
@@ -32,6 +37,7 @@ from workstation.demo_truth import DeclaredLamps
 from workstation.demonstration import record_simulated_scan
 from workstation.processing import process_session
 from workstation.result_files import read_result, write_result
+from workstation.stage_cache import StageCache
 
 _CAMERA_WIDTH = 96
 _CAPTURE_TOML = "capture.toml"
@@ -40,6 +46,7 @@ _RIG_FILE = "rig.toml"
 _LAMPS_FILE, _LAMPS = "lamps.json", 4
 _RESULT_FILE = "result.npz"
 _DIGEST_FILE = "result.sha256"
+_STAGES = "stages"
 DOME_FILE = "lights.lp"
 _RIG = """
 [camera]
@@ -111,8 +118,10 @@ TARGETS = (
     "OpenCV calibration",
     "copy",
     "table of lamps",
+    "light arm",
     "pictures under lights",
     "stored result",
+    "results of stages",
 )
 
 
@@ -139,10 +148,14 @@ def make_targets(place: Path) -> tuple[Target, ...]:
     (place / "lamps").mkdir()
     poses = spread_poses(rig.arm.capabilities.limits, _LAMPS)
     LampTable.of(DeclaredLamps(rig), poses).save(place / "lamps" / _LAMPS_FILE)
+    (place / "arm").mkdir()
+    save_light_arm(_small_arm(poses), place / "arm" / ARM_FILE)
     write_dome(place / "dome", lights=6, width=16, height=12)
     (place / "stored").mkdir()
     digest = write_result(copy.height_field, place / "stored" / _RESULT_FILE)
     (place / "stored" / _DIGEST_FILE).write_text(digest)
+    shutil.copytree(session, place / "stages" / "session")
+    _read_stages(place / "stages")
     return (
         Target("session as recorded", session, _read_session, sealed=True),
         Target("session resealed", session, _process_session, mend=reseal),
@@ -157,8 +170,16 @@ def make_targets(place: Path) -> tuple[Target, ...]:
         Target("OpenCV calibration", place / "capture", _read_opencv, files=(_CALIBRATION_FILE,)),
         Target("copy", place / "copy", _read_copy),
         Target("table of lamps", place / "lamps", _read_lamps),
+        Target("light arm", place / "arm", _read_arm),
         Target("pictures under lights", place / "dome", _read_dome),
         Target("stored result", place / "stored", _read_stored),
+        Target(
+            "results of stages",
+            place / "stages",
+            _read_stages,
+            files=(f"{_STAGES}/**/*",),
+            sealed=True,
+        ),
     )
 
 
@@ -279,6 +300,31 @@ def _read_lamps(folder: Path) -> bytes:
     return fingerprint(np.array(lamps).tobytes(), poses.encode(), exponents.encode())
 
 
+def _read_arm(folder: Path) -> bytes:
+    arm = load_light_arm(folder / ARM_FILE)
+    lamp = arm.lamp(arm.poses[0])
+    numbers = np.concatenate([lamp.position, lamp.axis, lamp.intensity, arm.covariance.ravel()])
+    rest = repr((arm.poses, arm.residual_deg.tolist(), arm.suspect, arm.inflation))
+    return fingerprint(numbers.tobytes(), rest.encode(), repr(arm.shading_excess).encode())
+
+
+def _small_arm(poses: Sequence[ArmPose]) -> LightArm:
+    """An arm as if it had been calibrated."""
+    parameters = ArmParameters(
+        rt_rig_ring=np.array([0.1, 3.0, 0.05, 5.0, -8.0, 900.0]),
+        radius_mm=1100.0,
+        elevation_zero=0.01,
+        lean=-0.005,
+        sag=0.002,
+        aim=np.array([3.0, -2.0, 1.0]),
+        intensity=np.array([3e6, 2.9e6, 2.5e6]),
+        exponent=6.0,
+    )
+    covariance = 1e-6 * np.eye(len(parameters.as_array()))
+    residuals = np.linspace(0.01, 0.03, len(poses))
+    return LightArm(parameters, covariance, tuple(poses), residuals, (1,), 1.0, 1.2)
+
+
 def _read_dome(folder: Path) -> bytes:
     copy, photographs = read_light_only(folder / DOME_FILE)
     pictures = [np.ascontiguousarray(one.radiance).tobytes() for one in photographs]
@@ -289,6 +335,12 @@ def _read_stored(folder: Path) -> bytes:
     noted = folder / _DIGEST_FILE
     digest = noted.read_text(errors="replace") if noted.is_file() else ""
     return fingerprint(pickle.dumps(read_result(folder / _RESULT_FILE, digest)))
+
+
+def _read_stages(folder: Path) -> bytes:
+    """Process with the results of stages that there are, and store those that are missing."""
+    (folder / _STAGES).mkdir(exist_ok=True)
+    return _of_copy(process_session(folder / "session", stages=StageCache(folder / _STAGES)).copy)
 
 
 def _reflectance(copy: DigitalCopy) -> ReflectanceMaps:

@@ -48,8 +48,10 @@ _TRIALS = {
     "OpenCV calibration": 2000,
     "copy": 4000,
     "table of lamps": 1500,
+    "light arm": 1500,
     "pictures under lights": 1500,
     "stored result": 1000,
+    "results of stages": 1000,
 }
 _LEAST_INPUTS = 20_000
 _INTERRUPTIONS = 50
