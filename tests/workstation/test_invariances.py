@@ -10,6 +10,7 @@ from acquisition.session import Session
 from calibration.lens import transform
 from devices.simulated.rig import demo_rig
 from workstation.benchmarks import decoding_invariances as decoding
+from workstation.benchmarks import stress
 from workstation.benchmarks import surface_invariances as surface
 from workstation.benchmarks.analytic_scans import scan_of, surface_rig
 from workstation.benchmarks.invariances import Invariance, rounding_sigma
@@ -73,6 +74,21 @@ def test_a_result_that_is_not_there_does_not_hold():
     assert not Invariance("decode, made up", np.inf, 1.0, "px").holds
     assert not Invariance("decode, made up", np.nan, 1.0, "px").holds
     assert Invariance("decode, made up", 0.0, 0.0, "px").stage == "decode"
+
+
+def test_a_change_that_matters_is_counted_for_its_stage():
+    found = [
+        Invariance("decode, one thread", 0.0, 0.0, "px"),
+        Invariance("surface, rig in metres", 0.3, 0.1, "mm"),
+        Invariance("surface, one thread", 0.0, 0.0, "mm"),
+    ]
+    records = {record.name: record for record in stress._silent_records([], found)}
+    assert records["stress.silent_wrong"].value == 1
+    assert records["stress.changes_that_mattered.decode"].holds
+    surface_record = records["stress.changes_that_mattered.surface"]
+    assert not surface_record.holds
+    assert surface_record.runs == 2
+    assert "rig in metres: 0.3 of 0.1 mm" in surface_record.note
 
 
 def test_rounding_is_as_large_as_it_is():
