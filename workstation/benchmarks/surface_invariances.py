@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +19,7 @@ from calibration.code_pairs import CodePairs, pair_by_code
 from calibration.lens import compose, invert, rotation, transform
 from calibration.pose_fit import fit_pose
 from calibration.registration import RegisteredView, register_view
-from calibration.rig_geometry import RigGeometry
+from calibration.rig_geometry import CAMERA_FILE, PROJECTOR_FILE, RigGeometry
 from devices.errors import ImpastoError
 from fitting.canvas import extract_canvas
 from fitting.height_field import HeightField
@@ -161,6 +163,14 @@ def surface_invariances() -> Iterator[Invariance]:
         turn = np.array([0, 0, random.uniform(-0.7, 0.7), 0, 0, 0])
         points = transform(turn, range_image.points)
         yield _of_turned_points(replace(range_image, points=points), turn, upright, allowed)
+        # Files of a calibration may count from any frame: a board's, a first camera's.
+        found = reconstruct_surface(scan, _filed(rig, _anywhere(random))).copy.height_field
+        yield Invariance(
+            "surface, calibration's frame turned and moved at will",
+            _millimetres(found, reference),
+            allowed,
+            "mm",
+        )
     field = reconstruct_surface(_single(scan), rig).copy.height_field
     # A texel is as sure of its height as the code's noise lets it be; see calibration.
     rounding = SIGMAS_OF_MANY * rounding_sigma(rig.projector.width) / SIGMA_PX
@@ -186,6 +196,16 @@ def _arithmetic_mm(field: HeightField) -> float:
     half = 0.5 * float(np.hypot(*field.size_mm))
     turn = SINGLE * half / field.pitch_mm
     return _STEEPEST * half * turn
+
+
+def _filed(rig: RigGeometry, rt_cam_ref: NDArray[np.float64]) -> RigGeometry:
+    """The rig as it is read from files that count from another frame; they have ten digits."""
+    with TemporaryDirectory() as folder:
+        place = Path(folder)
+        rig.camera.save(place / CAMERA_FILE, rt_this_ref=rt_cam_ref)
+        rt_proj_ref = compose(rig.rt_proj_cam, rt_cam_ref)
+        rig.projector.save(place / PROJECTOR_FILE, rt_this_ref=rt_proj_ref)
+        return RigGeometry.load(place)
 
 
 def _of_turned_points(
