@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 import typer
+from browser import check_page
 from typer.testing import CliRunner
 
 from acquisition.errors import SessionError
@@ -60,6 +61,21 @@ def test_every_benchmark_runs_even_if_one_fails(three, tmp_path):
         assert said in page
     with pytest.raises(SessionError, match="exists already"):
         run_benchmarks(three, tmp_path / "out")
+
+
+def test_the_page_is_whole_and_reachable_in_a_browser(browser, three, monkeypatch, tmp_path):
+    named = Record(
+        name="procam.heldout_repeatability_detrended_over_predicted_mm",
+        value=-0.00012345,
+        unit="mm",
+        bound=(-1e-3, 1e-3),
+        sense=Sense.WITHIN,
+        note="of /a/folder/of/real/captures/that_has_a_name_as_long_as_they_come, 20 seeds",
+    )
+    module = SimpleNamespace(bench=lambda: [named])
+    monkeypatch.setitem(sys.modules, "workstation.benchmarks.long", module)
+    run_benchmarks([*three, "long"], tmp_path / "out")
+    check_page(browser, tmp_path / "out" / "index.html")
 
 
 @pytest.mark.parametrize("words", [["all"], ["surface", "--out", "x"], ["all", "--part", "a"]])

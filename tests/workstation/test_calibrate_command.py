@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from browser import check_page
 from impasto_command import impasto
 
 from acquisition.scan import plan_scan, scan
@@ -136,6 +137,10 @@ def test_the_report_asks_nothing_of_the_net_and_shows_every_part(calibrated):
     assert max(report["repeatability"]["rms_mm"]) < 0.05
     assert report["earlier"][0]["over_predicted"] < 2.5
     assert len(report["sessions"]) == len(POSES)
+
+
+def test_the_report_is_whole_and_reachable_in_a_browser(browser, calibrated):
+    check_page(browser, calibrated / "report" / "index.html")
 
 
 def test_a_relief_scanned_by_the_calibrated_rig_errs_as_much_as_predicted(

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 import typer
+from browser import check_page
 from typer.testing import CliRunner
 
 from acquisition.session import Session
@@ -73,6 +74,10 @@ def test_its_report_has_every_part_and_the_copy_its_reflectance(made):
     albedo = np.pi * np.median(copy.reflectance.diffuse[copy.height_field.mask], axis=0)
     assert (albedo > 0.05).all()
     assert (albedo < 1).all()
+
+
+def test_its_report_is_whole_and_reachable_in_a_browser(browser, made):
+    check_page(browser, made / "index.html")
 
 
 def test_replayed_sessions_give_the_identical_copy(made, tmp_path):

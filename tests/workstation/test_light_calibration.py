@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from browser import check_page
 from impasto_command import impasto
 from scipy.optimize import least_squares
 
@@ -217,6 +218,10 @@ def test_the_report_shows_lamps_and_vignetting(folder):
     assert report["flat_field"]["coefficients"][0] < 0
 
 
+def test_the_report_is_whole_and_reachable_in_a_browser(browser, folder):
+    check_page(browser, folder / "report" / "index.html")
+
+
 def test_spheres_of_a_wrong_radius_are_refused_and_the_right_one_named(folder, session, tmp_path):
     lights = ("--rig", folder / "rig", "--spheres", session, "--sphere-radius", 1.25 * SPHERE_MM)
     done = impasto("calibrate", *lights, "--out", tmp_path / "lights")
@@ -243,6 +248,8 @@ def test_spheres_of_a_wrong_radius_are_refused_and_the_right_one_named(folder, s
         ({"inflation": 4.0}, 1.0, "highlights", "warning"),
         ({"residual_deg": np.full(POSES, 0.6)}, 1.0, "highlights", "refused"),
         ({"sphere_shift_sigmas": np.array([1.0, 5.0])}, 1.0, "outlines", "refused"),
+        ({"radius_error": -0.03, "radius_sigma": 0.004}, 1.0, "radius of the spheres", "refused"),
+        ({"radius_error": -0.03, "radius_sigma": 0.03}, 1.0, None, None),
     ],
 )
 def test_each_gate_of_the_lights_tells_its_own_fault(arm, change, scale, gate, outcome):
