@@ -188,14 +188,15 @@ def surface_equations(
     # Moving the surface by d moves the point along the ray by N·d / N·ray.
     surface = by_depth[:, :, None] * (towards / facing[:, None])[:, None, :]
     _, bend = rig.camera.project_with_gradient(ray)
-    slope = -np.linalg.solve(bend[..., :2], _lens_gradient(rig.camera, ray))
+    slope = -np.linalg.solve(bend[..., :2], lens_gradient(rig.camera, ray))
     by_ray = depth[:, None, None] * (by_point - surface)[..., :2]
     return Equations(
         residual,
         np.concatenate(
-            [by_ray @ slope, _lens_gradient(rig.projector, lit), _motion(usual, before)], axis=-1
+            [by_ray @ slope, lens_gradient(rig.projector, lit), motion_gradient(usual, before)],
+            axis=-1,
         ),
-        np.concatenate([_motion(point, surface), _motion(lit, gradient)], axis=-1),
+        np.concatenate([motion_gradient(point, surface), motion_gradient(lit, gradient)], axis=-1),
         by_depth / facing[:, None],
         index,
         basis[..., 0],
@@ -215,12 +216,12 @@ def corner_equations(problem: DenseProblem, state: DenseState, view: int) -> Equ
     on_board = gradient @ rotation(pose)
     by_rig = np.zeros((len(points), 2, state.lens_parameters + 6))
     count = len(rig.camera.intrinsics)
-    by_rig[..., :count] = _lens_gradient(rig.camera, here)
+    by_rig[..., :count] = lens_gradient(rig.camera, here)
     by_place = on_board[..., :2] + on_board[..., 2:] * height[:, None, 1:]
     return Equations(
         problem.corners[view].reshape(-1, 2) - pixels,
         by_rig,
-        np.concatenate([_motion(here, gradient), np.zeros((len(points), 2, 6))], axis=-1),
+        np.concatenate([motion_gradient(here, gradient), np.zeros((len(points), 2, 6))], axis=-1),
         on_board[..., 2],
         index,
         basis[..., 0],
@@ -228,8 +229,8 @@ def corner_equations(problem: DenseProblem, state: DenseState, view: int) -> Equ
     )
 
 
-def _lens_gradient(lens: Lens, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Derivative (n, 2, parameters) of pixels by the lens's parameters."""
+def lens_gradient(lens: Lens, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Derivative (n, 2, parameters) of pixels by the lens's parameters, of points (n, 3)."""
     gradient = np.empty((len(points), 2, len(lens.intrinsics)))
     for number, value in enumerate(lens.intrinsics):
         step = 1e-5 * max(1.0, abs(value))
@@ -242,6 +243,8 @@ def _lens_gradient(lens: Lens, points: NDArray[np.float64]) -> NDArray[np.float6
     return gradient
 
 
-def _motion(points: NDArray[np.float64], gradient: NDArray[np.float64]) -> NDArray[np.float64]:
+def motion_gradient(
+    points: NDArray[np.float64], gradient: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Derivative (n, i, 6) of what has a gradient (n, i, 3) by a turn and shift of points."""
     return np.concatenate([np.cross(points[:, None, :], gradient), gradient], axis=-1)

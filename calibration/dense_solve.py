@@ -43,6 +43,7 @@ from calibration.dense_equations import (
     corner_equations,
     surface_equations,
 )
+from calibration.dense_solution import DenseSolution, printed_skew
 from calibration.errors import CalibrationError
 from calibration.lens import compose
 from calibration.rig_geometry import RigGeometry
@@ -53,38 +54,6 @@ _REACHES = (60.0, 60.0, 20.0, 10.0, 5.0)
 _STEPS = 8
 _SETTLED = 1e-3
 _HELD = 1e5
-
-
-@dataclass(frozen=True)
-class DenseSolution:
-    """What the surface of the board determines.
-
-    Attributes
-    ----------
-    rig : RigGeometry
-        With its covariance.
-    rt_cam_board : (views, 6) float64 array
-    drift : (views, 6) float64 array
-        What the projector moved by from the usual pose while a view was recorded (Rodrigues, mm).
-    grid : SplineGrid
-    relief : (grid.size,) float64 array
-        Coefficients of the board's height, mm.
-    displacement_mm : (rows, columns, 2) float64 array
-        Of the corners in the board's plane, off the grid.
-    sample_rms_px : (views, 2) float64 array
-        Robust standard deviation of the blocks' residuals, projector columns and rows.
-    corner_rms_px : (views,) float64 array
-        The same of the corners in the camera, per coordinate.
-    """
-
-    rig: RigGeometry
-    rt_cam_board: NDArray[np.float64]
-    drift: NDArray[np.float64]
-    grid: SplineGrid
-    relief: NDArray[np.float64]
-    displacement_mm: NDArray[np.float64]
-    sample_rms_px: NDArray[np.float64]
-    corner_rms_px: NDArray[np.float64]
 
 
 def solve_densely(
@@ -298,7 +267,7 @@ def _add_priors(
 def _solved(
     problem: DenseProblem, state: DenseState, covariance: NDArray[np.float64]
 ) -> DenseSolution:
-    rig, _, _, _ = blocks_of(state)
+    rig, poses, relief, place = blocks_of(state)
     count = state.lens_parameters
     step = 1e-6
     turned = np.empty((6, 6))
@@ -311,13 +280,28 @@ def _solved(
     views = range(len(state.poses))
     left = [surface_equations(problem, state, v, derivatives=False).residual for v in views]
     seen = [corner_equations(problem, state, v).residual for v in views]
+    grid = problem.board.points.reshape(-1, 3)[:, :2]
+    placed = covariance[place, place]
+    index, basis = problem.grid.basis(grid + state.displacement.reshape(-1, 2))
+    height = basis[..., 0]
+    own = covariance[relief, relief][index[:, :, np.newaxis], index[:, np.newaxis, :]]
+    sigma = np.column_stack(
+        [
+            np.sqrt(np.diagonal(placed)).reshape(-1, 2),
+            np.sqrt(np.einsum("nk,nkl,nl->n", height, own, height)),
+        ]
+    )
+    kept = slice(0, poses.stop)
     return DenseSolution(
         rig=replace(state.rig, covariance=(found + found.T) / 2),
         rt_cam_board=state.poses,
         drift=state.drift,
-        grid=problem.grid,
+        problem=problem,
         relief=state.relief,
         displacement_mm=state.displacement,
+        corner_sigma_mm=sigma.reshape(problem.board.points.shape),
+        skew=printed_skew(grid, state.displacement.reshape(-1, 2), placed),
+        covariance=covariance[kept, kept],
         sample_rms_px=np.array([_spread(residual) for residual in left]),
         corner_rms_px=np.array([np.sqrt(np.mean(_spread(r) ** 2)) for r in seen]),
     )

@@ -9,85 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.cross_validation import CalibrationDifference, FittedPose
 from calibration.drift import Drift
-from calibration.lens import rotation
+from calibration.gate_limits import Gate, GateLimits
 from calibration.procam import LENS_NAMES, ProcamCalibration
-from calibration.verdicts import Criterion, GateReport, Sense, Untested, Verdict
+from calibration.recording_gates import coverage_verdict, tilt_verdict, views_verdict
+from calibration.surface_gates import motion_verdict, surface_criterion
+from calibration.verdicts import Criterion, GateReport, Untested, Verdict
 
-_CELLS = 4
-# Of a side's cells.
-_COVERED_SIDE = 0.5
-_REFUSED_VIEWS_SHARE = 0.25
 # Standard error of a known length, relative, beyond which it tells nothing of the squares.
 _LARGEST_KNOWN_SIGMA = 0.01
-
-
-class Gate(StrEnum):
-    """What is tested."""
-
-    TILT = "tilt"
-    COVERAGE = "coverage"
-    RESIDUALS = "residuals"
-    VIEWS = "views"
-    WARP = "board warp"
-    HELDOUT = "held-out pose"
-    DIFFERENCE = "cross-validation difference"
-    SCALE = "scale"
-    PLANE = "plane"
-    REPEATABILITY = "repeatability"
-    DRIFT = "drift"
-
-
-@dataclass(frozen=True, kw_only=True)
-class GateLimits:
-    """What is let through.
-
-    Attributes
-    ----------
-    tilt_deg : float
-        Least spread of the boards' normals: the root mean square of their angles to the mean
-        normal, along the direction in which they spread least widely but one.
-    covered_share : float
-        Least share of the cells of the imager, 4×4, in which corners were seen.
-    residual_px : float
-        Most root mean square distance per point.
-    outlier_share : float
-        Most share of corners left out.
-    warp_over_square : float
-        Most bow or displacement of the board's corners, over a square.
-    heldout_ratio : float
-        Most residual of a held-out pose over its noise.
-    difference_px : float
-        Most difference of two calibrations from halves of the views.
-    scale_error : float
-        Most relative error of a known length, beyond twice its standard error.
-    plane_over_noise : float
-        Most deviation of a reconstructed plane, over its noise: of the worst of those held out.
-    repeatability : float
-        Most difference of a held-out board's relief from those of the others, over what noise and
-        calibration predict; twice as much refuses.
-    drift_over_predicted : float
-        Most change of shape since an earlier calibration, over what the uncertainties of both
-        explain.
-    """
-
-    tilt_deg: float = 6.0
-    covered_share: float = 0.6
-    residual_px: float = 0.5
-    outlier_share: float = 0.05
-    warp_over_square: float = 0.02
-    heldout_ratio: float = 3.0
-    difference_px: float = 0.5
-    scale_error: float = 0.002
-    plane_over_noise: float = 2.0
-    repeatability: float = 3.0
-    drift_over_predicted: float = 2.5
 
 
 @dataclass(frozen=True)
@@ -140,13 +74,15 @@ def check_calibration(
         Why no board was measured in recorded poses, by their names.
     """
     limits = limits or GateLimits()
-    verdicts = [_tilt(calibration, limits)]
-    verdicts += [_coverage(calibration, number, limits) for number in range(len(LENS_NAMES))]
+    verdicts = [tilt_verdict(calibration, limits)]
+    verdicts += [coverage_verdict(calibration, number, limits) for number in range(len(LENS_NAMES))]
     verdicts += [
         _residuals(calibration, limits),
-        _views(calibration, unread or {}),
+        views_verdict(calibration, unread or {}),
         _warp(calibration, limits),
     ]
+    if calibration.surface is not None:
+        verdicts.append(motion_verdict(calibration.surface, calibration.solution.names, limits))
     optional: list[list[Verdict] | Untested] = [
         _heldout(calibration, heldout, limits),
         _differences(differences, limits),
@@ -159,81 +95,6 @@ def check_calibration(
         if not isinstance(one, Untested):
             verdicts += one
     return GateReport(tuple(verdicts), tuple(o for o in optional if isinstance(o, Untested)))
-
-
-def normal_spread_deg(calibration: ProcamCalibration) -> NDArray[np.float64]:
-    """Spread of the boards' normals along their widest and narrowest direction, degrees."""
-    normals = np.array([rotation(rt)[:, 2] for rt in calibration.solution.rt_ref_board])
-    normals *= np.sign(normals @ normals.sum(axis=0))[:, np.newaxis]
-    values = np.linalg.svd(normals - normals.mean(axis=0), compute_uv=False)
-    return np.degrees(values[:2] / np.sqrt(len(normals)))
-
-
-def covered_cells(calibration: ProcamCalibration, number: int) -> NDArray[np.bool_]:
-    """(4, 4) bool array: cells of a lens's imager in which corners took part."""
-    lens = calibration.solution.lenses[number]
-    kept = calibration.solution.inliers[:, number]
-    pixels = np.stack([view.pixels[number] for view in calibration.views])[kept]
-    cell = np.floor((pixels + 0.5) / [lens.width, lens.height] * _CELLS).astype(int)
-    cell = cell[((cell >= 0) & (cell < _CELLS)).all(axis=1)]
-    covered = np.zeros((_CELLS, _CELLS), bool)
-    covered[cell[:, 1], cell[:, 0]] = True
-    return covered
-
-
-def _tilt(calibration: ProcamCalibration, limits: GateLimits) -> Verdict:
-    widest, narrowest = map(float, normal_spread_deg(calibration))
-    return Verdict(
-        Gate.TILT,
-        (
-            Criterion("widest spread of the normals, °", widest, limits.tilt_deg, Sense.AT_LEAST),
-            Criterion("narrowest spread, °", narrowest, limits.tilt_deg / 3, Sense.AT_LEAST),
-        ),
-        f"the boards are nearly parallel, their normals spread over {widest:.1f}° and "
-        f"{narrowest:.1f}° only, so focal length and distance cannot be told apart; record poses "
-        f"{_missing_tilts(calibration)}, by 20° to 40°",
-    )
-
-
-def _missing_tilts(calibration: ProcamCalibration) -> str:
-    normals = np.array([rotation(rt)[:, 2] for rt in calibration.solution.rt_ref_board])
-    normals *= -np.sign(normals[:, 2:])
-    limit = np.sin(np.radians(8))
-    sides = (
-        ("to the left", normals[:, 0] < -limit),
-        ("to the right", normals[:, 0] > limit),
-        ("upwards", normals[:, 1] < -limit),
-        ("downwards", normals[:, 1] > limit),
-    )
-    missing = [name for name, there in sides if not there.any()]
-    return "tilted " + (" and ".join(missing) if missing else "more, in all four directions")
-
-
-def _coverage(calibration: ProcamCalibration, number: int, limits: GateLimits) -> Verdict:
-    covered = covered_cells(calibration, number)
-    share = float(covered.mean())
-    half = _CELLS // 2
-    sides = (
-        ("left", covered[:, :half]),
-        ("right", covered[:, half:]),
-        ("top", covered[:half]),
-        ("bottom", covered[half:]),
-    )
-    shares = {name: float(cells.mean()) for name, cells in sides}
-    bare = [name for name, found in shares.items() if found < _COVERED_SIDE]
-    part = f"the {' and the '.join(bare)}" if bare else "the corners of the image"
-    criteria = [Criterion("share of the image", share, limits.covered_share, Sense.AT_LEAST)]
-    criteria += [
-        Criterion(f"share of its {name} half", found, _COVERED_SIDE, Sense.AT_LEAST)
-        for name, found in shares.items()
-    ]
-    return Verdict(
-        Gate.COVERAGE,
-        tuple(criteria),
-        f"corners were seen in {share:.0%} of the {LENS_NAMES[number]}'s image; record poses that "
-        f"fill {part} of it",
-        LENS_NAMES[number],
-    )
 
 
 def _residuals(calibration: ProcamCalibration, limits: GateLimits) -> Verdict:
@@ -252,32 +113,20 @@ def _residuals(calibration: ProcamCalibration, limits: GateLimits) -> Verdict:
             f"{solution.names[int(np.argmax(per_view))]}; record it again, or choose a richer lens "
             "model"
         )
-    criteria = (
+    criteria = [
         Criterion("RMS per point, px", float(rms), limits.residual_px),
         Criterion("share of corners left out", left_out, limits.outlier_share),
-    )
-    return Verdict(Gate.RESIDUALS, criteria, remedy)
-
-
-def _views(calibration: ProcamCalibration, unread: Mapping[str, str]) -> Verdict:
-    rejected = calibration.rejected_views
-    solved = len(rejected) + len(calibration.views)
-    left = {view.name: view.why for view in rejected} | dict(unread)
-    remedy = "; ".join(f"{name} was left out: {why}" for name, why in left.items())
-    criteria = (
-        Criterion("poses left out", float(len(left)), 0.0, refuses=False),
-        Criterion(
-            "share left out that contradicts the others",
-            len(rejected) / max(solved, 1),
-            _REFUSED_VIEWS_SHARE,
-        ),
-    )
-    return Verdict(Gate.VIEWS, criteria, remedy)
+    ]
+    if calibration.surface is not None:
+        criteria.append(surface_criterion(calibration.surface, limits))
+    return Verdict(Gate.RESIDUALS, tuple(criteria), remedy)
 
 
 def _warp(calibration: ProcamCalibration, limits: GateLimits) -> Verdict:
     bow = float(np.abs(calibration.solution.warp_mm).sum())
-    if calibration.shape is not None:
+    if calibration.surface is not None:
+        bow = float(np.abs(calibration.surface.corner_places[..., 2]).max())
+    elif calibration.shape is not None:
         bow = max(bow, float(np.linalg.norm(calibration.shape.rms_mm)))
     share = bow / calibration.board.square_mm
     return Verdict(

@@ -3,11 +3,13 @@
 The projector is a camera that sees the board through decoded coordinates. Both are solved in one
 problem, so that the pose between them and its covariance come from all observations at once:
 
-1. :func:`measure_view` finds the board's corners in a view's picture, and their projector
-   coordinates in its correspondence map.
+1. :func:`~calibration.measured_views.measure_view` finds the board's corners in a view's picture,
+   and their projector coordinates in its correspondence map.
 2. :func:`calibrate_procam` leaves out views that contradict the rest, chooses the lens model by
    cross-validation, solves, takes the noise of each lens from its own residuals, and, where asked,
    solves for the shape of the board.
+3. :func:`~calibration.surface_calibration.calibrate_by_surface` goes on from there with all of the
+   board's surface.
 
 The result names every view and corner that was left out.
 """
@@ -20,36 +22,33 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.correspondence import CorrespondenceMap
-from acquisition.patterns import Axis
 from acquisition.plan import Imager
-from calibration.board_coordinates import projector_coordinates
 from calibration.board_shape import BoardShape, align_turned_views, solve_with_shape
 from calibration.board_views import BoardView
-from calibration.boards import Chessboard, detect_corners
-from calibration.cross_validation import ModelChoice, choose_model, fit_board_pose
+from calibration.boards import Chessboard
+from calibration.contradictory_views import RejectedView, without_contradictions
+from calibration.cross_validation import ModelChoice, choose_model
+from calibration.dense_solution import DenseSolution
 from calibration.errors import CalibrationError
 from calibration.lens import rotation
 from calibration.mrcal_solution import LensSolution, save_lens, stored_views
 from calibration.mrcal_solve import resolve, solve_lenses, with_noise_of
 from calibration.opencv_files import write_matrices
-from calibration.phase_errors import PhaseErrors, compensate_phase_errors
 from calibration.rig_geometry import CAMERA_FILE, PROJECTOR_FILE, RigGeometry
-from calibration.uncertainty import RigCovariance, rig_covariance
-from calibration.view_seeds import discord_of_views
+from calibration.surface_files import SURFACE_FILE, save_surface
+from calibration.uncertainty import (
+    RigCovariance,
+    UncertaintyMap,
+    covariance_map,
+    rig_covariance,
+    uncertainty_map,
+)
 
 OPENCV_MODELS = ("LENSMODEL_OPENCV4", "LENSMODEL_OPENCV5", "LENSMODEL_OPENCV8")
 LENS_NAMES = ("camera", "projector")
-_LEAST_VIEWS = 3
 # Without one of them three must remain.
 LEAST_VIEWS_TO_CHOOSE = 4
-# A view is out of line when, held out, it leaves this many times what the others leave.
-_CONTRADICTION = 4.0
-_LEAST_GAIN = 1.5
 _NOISE_ROUNDS = 2
-# First guesses of a view that is counted wrongly are off by half the board, of others by a few
-# hundredths of it.
-_DISCORD = 0.25
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,42 +79,6 @@ class ProcamOptions:
             raise CalibrationError("no lens model to calibrate is named")
         if not self.outlier_sigmas > 1:
             raise CalibrationError("outlier_sigmas must be above 1")
-
-
-@dataclass(frozen=True)
-class MeasuredView:
-    """A board's view, measured.
-
-    Attributes
-    ----------
-    view : BoardView
-        Camera first, projector second.
-    correspondence : CorrespondenceMap
-        With phase errors compensated, if asked.
-    phase_errors : dict
-        :class:`~calibration.phase_errors.PhaseErrors` by axis; empty if not asked for.
-    """
-
-    view: BoardView
-    correspondence: CorrespondenceMap
-    phase_errors: dict[Axis, PhaseErrors]
-
-
-@dataclass(frozen=True)
-class RejectedView:
-    """A view that was left out.
-
-    Attributes
-    ----------
-    name : str
-    rms_px : float
-        What it leaves against the calibration by the others, per point.
-    why : str
-    """
-
-    name: str
-    rms_px: float
-    why: str
 
 
 @dataclass(frozen=True)
@@ -152,7 +115,8 @@ class ProcamCalibration:
     ----------
     rig : RigGeometry
     solution : LensSolution
-        Lenses, poses and residuals; camera first.
+        Lenses, poses and residuals; camera first. With a surface, as the surface leaves them: what
+        mrcal solved is where that started.
     views : tuple of BoardView
         What took part, with the noise found; corners as observed.
     board : Chessboard
@@ -164,6 +128,8 @@ class ProcamCalibration:
     rejected_corners : tuple of RejectedCorner
     working_distance_mm : float
         Median distance of the boards along the camera's axis.
+    surface : DenseSolution or None
+        If all of the board's surface was solved from.
     """
 
     rig: RigGeometry
@@ -175,10 +141,14 @@ class ProcamCalibration:
     rejected_views: tuple[RejectedView, ...]
     rejected_corners: tuple[RejectedCorner, ...]
     working_distance_mm: float
+    surface: DenseSolution | None = None
 
     def covariance(self) -> RigCovariance:
         """Joint covariance of the rig, with the scale error of the board's squares."""
         sigma = self.board.square_sigma_mm / self.board.square_mm
+        if self.surface is not None:
+            assert self.surface.rig.covariance is not None  # by the solve
+            return RigCovariance(self.rig, self.surface.rig.covariance, sigma)
         return rig_covariance(self.solution, scale_sigma=sigma)
 
     def rig_with_covariance(self) -> RigGeometry:
@@ -190,13 +160,28 @@ class ProcamCalibration:
         covariance[-3:, -3:] += found.scale_sigma**2 * np.outer(baseline, baseline)
         return replace(self.rig, covariance=covariance)
 
+    def uncertainty_map(self, number: int) -> UncertaintyMap:
+        """Uncertainty of a lens's projection at the working distance."""
+        distance, surface = self.working_distance_mm, self.surface
+        if surface is None:
+            return uncertainty_map(self.solution, number, distance_mm=distance)
+        return covariance_map(
+            surface.lenses[number],
+            lambda points: surface.projection_covariance(number, points),
+            distance_mm=distance,
+        )
+
     def save(self, folder: Path) -> None:
         """Write the rig: both ``.cameramodel`` files, and the covariance.
 
-        The models carry what they were solved from, so that they can be solved again.
+        With them goes what they were solved from, so that they can be solved again: corners inside
+        of the models, the surface of a board in a file of its own.
         """
         folder = Path(folder)
         self.rig_with_covariance().save(folder)
+        if self.surface is not None:
+            save_surface(self.surface, self.solution.names, folder / SURFACE_FILE)
+            return
         for number, name in enumerate((CAMERA_FILE, PROJECTOR_FILE)):
             save_lens(self.solution, number, folder / name)
 
@@ -219,57 +204,6 @@ class ProcamCalibration:
                 f"{', '.join(OPENCV_MODELS)}"
             )
         write_matrices(Path(path), _opencv_matrices(self.rig))
-
-
-def measure_view(
-    name: str,
-    picture: NDArray[np.generic],
-    correspondence: CorrespondenceMap,
-    board: Chessboard,
-    *,
-    camera_sigma_px: float = 0.1,
-    compensate_phases: bool = True,
-) -> MeasuredView:
-    """Find a board's corners in camera and projector.
-
-    Parameters
-    ----------
-    name : str
-        What the view is called in reports.
-    picture : (rows, cols) array
-        The board in even light, of the same crop as the correspondence map.
-    correspondence : CorrespondenceMap
-        Decoded along both axes.
-    board : Chessboard or CharucoBoard
-    camera_sigma_px : float
-        First guess of the noise of a corner in the picture.
-    compensate_phases : bool
-        Whether periodic errors and the bias at edges are estimated and subtracted.
-
-    Raises
-    ------
-    CalibrationError
-        The board is not found, or not decoded.
-    """
-    if picture.shape != correspondence.shape:
-        raise CalibrationError(
-            f"{name}: a picture of {picture.shape} with a correspondence map of "
-            f"{correspondence.shape}"
-        )
-    corners = detect_corners(picture, board, name=name) + np.asarray(correspondence.origin, float)
-    errors: dict[Axis, PhaseErrors] = {}
-    if compensate_phases:
-        correspondence, errors = compensate_phase_errors(correspondence, corners, name=name)
-    found = projector_coordinates(correspondence, corners, name=name)
-    view = BoardView(
-        name,
-        (corners, found.pixels),
-        (
-            np.full(corners.shape[:2], camera_sigma_px),
-            found.sigma_px(camera_sigma_px=camera_sigma_px),
-        ),
-    )
-    return MeasuredView(view, correspondence, errors)
 
 
 def calibrate_procam(
@@ -301,7 +235,7 @@ def calibrate_procam(
     names = [view.name for view in views]
     if len(set(names)) != len(names):
         raise CalibrationError("two views have one name; outliers could not be told apart")
-    kept, rejected = _without_contradictions(views, board, imagers, options)
+    kept, rejected = without_contradictions(views, board, imagers, model=options.models[0])
     choice = None
     if len(kept) >= LEAST_VIEWS_TO_CHOOSE:
         choice = choose_model(
@@ -328,8 +262,8 @@ def calibrate_procam(
         choice,
         shape,
         rejected,
-        _rejected_corners(solution),
-        float(np.median(_centres(solution)[:, 2])),
+        rejected_corners(solution),
+        working_distance(solution),
     )
 
 
@@ -350,83 +284,14 @@ def _solve(
     )
 
 
-def _without_contradictions(
-    views: list[BoardView], board: Chessboard, imagers: list[Imager], options: ProcamOptions
-) -> tuple[list[BoardView], tuple[RejectedView, ...]]:
-    """Views that agree, by leaving out the worst as long as the others fit much better for it."""
-    kept, discordant = _without_discord(views, board, imagers)
-    rejected: list[RejectedView] = []
-    model = options.models[0]
-
-    def solve(some: list[BoardView]) -> LensSolution:
-        return solve_lenses(some, board, imagers, model=model, outlier_sigmas=np.inf)
-
-    solution = solve(kept)
-    while len(kept) > _LEAST_VIEWS:
-        per_view = np.sqrt(np.nanmean(solution.residuals_px**2, axis=(1, 2, 3, 4)))
-        worst = int(np.argmax(per_view))
-        others = np.delete(per_view, worst)
-        if per_view[worst] < 1.5 * np.median(others):
-            break
-        rest = kept[:worst] + kept[worst + 1 :]
-        without = solve(rest)
-        left = _left_by(without, kept[worst])
-        usual = without.rms_per_point_px
-        gain = solution.rms_per_point_px / usual
-        if not (gain > _LEAST_GAIN and left > _CONTRADICTION * usual):
-            break
-        rejected.append(
-            RejectedView(
-                kept[worst].name,
-                left,
-                f"its corners are {left:.2f} px off the calibration by the other views, which "
-                f"leave {usual:.2f} px themselves: corners counted from another end, another "
-                "board, or a rig that was moved",
-            )
-        )
-        kept, solution = rest, without
-    for view in discordant:
-        left = _left_by(solution, view)
-        rejected.append(
-            RejectedView(
-                view.name,
-                left,
-                "camera and projector see its board at poses that contradict those of the other "
-                "views: corners counted from another end in one of them, or a rig that was moved",
-            )
-        )
-    return kept, tuple(rejected)
-
-
-def _without_discord(
-    views: list[BoardView], board: Chessboard, imagers: list[Imager]
-) -> tuple[list[BoardView], list[BoardView]]:
-    """Views whose first guesses agree, and those that would lead the solve astray."""
-    discord = discord_of_views(views, board, imagers)
-    limit = max(_DISCORD, 4 * float(np.nanmedian(discord)))
-    kept = [v for v, apart in zip(views, discord, strict=True) if not apart > limit]
-    # Where many disagree the guesses are bad, not the views.
-    if len(kept) < max(_LEAST_VIEWS, 0.75 * len(views)):
-        return list(views), []
-    return kept, [v for v, apart in zip(views, discord, strict=True) if apart > limit]
-
-
-def _left_by(solution: LensSolution, view: BoardView) -> float:
-    try:
-        return fit_board_pose(
-            solution.lenses, solution.rt_lens_ref, view, solution.board_points
-        ).rms_per_point_px
-    except CalibrationError:
-        return float("inf")
-
-
 def _as_solved(solution: LensSolution, views: list[BoardView]) -> list[BoardView]:
     """The pixels that a solution was solved from, with the views' noise."""
     stored = stored_views(solution)
     return [replace(s, sigma_px=v.sigma_px) for s, v in zip(stored, views, strict=True)]
 
 
-def _rejected_corners(solution: LensSolution) -> tuple[RejectedCorner, ...]:
+def rejected_corners(solution: LensSolution) -> tuple[RejectedCorner, ...]:
+    """Corners that were left out, by name."""
     return tuple(
         RejectedCorner(
             solution.names[view],
@@ -439,9 +304,10 @@ def _rejected_corners(solution: LensSolution) -> tuple[RejectedCorner, ...]:
     )
 
 
-def _centres(solution: LensSolution) -> NDArray[np.float64]:
+def working_distance(solution: LensSolution) -> float:
+    """Median distance of the boards' middles along the camera's axis, mm."""
     middle = solution.board_points.reshape(-1, 3).mean(axis=0)
-    return np.array([rotation(rt) @ middle + rt[3:] for rt in solution.rt_ref_board])
+    return float(np.median([(rotation(rt) @ middle + rt[3:])[2] for rt in solution.rt_ref_board]))
 
 
 def _opencv_matrices(rig: RigGeometry) -> dict[str, NDArray[np.float64]]:

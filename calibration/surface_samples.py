@@ -16,6 +16,7 @@ from calibration.phase_errors import board_position
 
 _WHITE_SHARE = 0.5
 _EDGE_PX = 3
+_BLOCK_PX = (4, 12)
 _LEAST_FILLED = 0.4
 _LEAST_BLOCKS = 100
 # Blocks across a tile whose mean tells how far neighbours err alike.
@@ -46,7 +47,7 @@ def sample_surface(
     correspondence: CorrespondenceMap,
     corners: NDArray[np.float64],
     *,
-    block_px: int = 12,
+    block_px: int | None = None,
     name: str = "the view",
 ) -> SurfaceSamples:
     """Average the projector coordinates of a board's white parts over blocks of pixels.
@@ -57,8 +58,9 @@ def sample_surface(
         Decoded along both axes.
     corners : (rows, columns, 2) array
         In the camera's full frame.
-    block_px : int
-        Side of a block: the relief is smooth over it.
+    block_px : int, optional
+        Side of a block; by default a quarter of a square in the picture, 4 to 12: the relief is
+        smooth over it.
     name : str
         What to call the view in an error.
 
@@ -67,6 +69,8 @@ def sample_surface(
     CalibrationError
         Too little of the board's white was decoded.
     """
+    square_px = float(np.nanmedian(np.linalg.norm(np.diff(corners, axis=1), axis=-1)))
+    block_px = block_px or int(np.clip(round(square_px / 4), *_BLOCK_PX))
     u, v, _ = board_position(correspondence, corners)
     rows, columns = corners.shape[:2]
     reach = 1 + 1.5 * MARGIN_SQUARES / (np.array([columns, rows]) - 1)
@@ -89,8 +93,10 @@ def sample_surface(
     filled = count > _LEAST_FILLED * block_px**2
     if filled.sum() < _LEAST_BLOCKS:
         raise CalibrationError(
-            f"{name}: only {int(filled.sum())} blocks of the board's white were decoded; check "
-            "exposure and focus of the fringes"
+            f"{name}: only {int(filled.sum())} blocks of the board's white were decoded, and "
+            f"{_LEAST_BLOCKS} are needed for its shape: white parts lose {_EDGE_PX} pixels at each "
+            f"edge, and squares are {square_px:.0f} pixels here. Come nearer, take a board of "
+            "larger squares without markers, or check exposure and focus of the fringes"
         )
     tile = (pixels // (_TILE * block_px)).astype(int) @ np.array([1, 10_000])
     return SurfaceSamples(

@@ -12,6 +12,7 @@ can be removed. A wrong square size scales everything and is added.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -72,7 +73,34 @@ def uncertainty_map(
     columns, rows : int
         Of the grid; rows follow the imager's shape by default.
     """
-    lens = solution.lenses[number]
+    return covariance_map(
+        solution.lenses[number],
+        lambda points: projection_covariance(solution, number, points),
+        distance_mm=distance_mm,
+        columns=columns,
+        rows=rows,
+    )
+
+
+def covariance_map(
+    lens: Lens,
+    covariance_of: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    *,
+    distance_mm: float,
+    columns: int = 30,
+    rows: int | None = None,
+) -> UncertaintyMap:
+    """What :func:`uncertainty_map` gives, of any covariance of projection.
+
+    Parameters
+    ----------
+    lens : Lens
+    covariance_of : callable
+        Covariance (..., 2, 2), square pixels, of where points (..., 3) of the lens's frame are
+        seen.
+    distance_mm, columns, rows
+        As for :func:`uncertainty_map`.
+    """
     if not (np.isfinite(distance_mm) and distance_mm > 0):
         raise CalibrationError(f"a working distance of {distance_mm} mm: it must be positive")
     rows = rows or max(2, round(columns * lens.height / lens.width))
@@ -80,7 +108,7 @@ def uncertainty_map(
     pixels = np.stack(np.meshgrid(across, down), axis=-1)
     rays = lens.unproject(pixels)
     points = rays * (distance_mm / np.linalg.norm(rays, axis=-1, keepdims=True))
-    return UncertaintyMap(pixels, projection_covariance(solution, number, points), distance_mm)
+    return UncertaintyMap(pixels, covariance_of(points), distance_mm)
 
 
 @dataclass(frozen=True)

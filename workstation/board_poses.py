@@ -6,7 +6,7 @@ Sessions are recorded by ``impasto scan`` or imported from another program's cap
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +20,8 @@ from acquisition.session import PLAN_FILE, Session
 from calibration.board_views import BoardView
 from calibration.boards import Chessboard
 from calibration.errors import CalibrationError
-from calibration.procam import MeasuredView, measure_view
+from calibration.measured_views import MeasuredView, measure_view
+from calibration.surface_samples import SurfaceSamples, sample_surface
 from workstation.interruption import interruption_held
 
 LEAST_POSES = 3
@@ -50,6 +51,9 @@ class BoardPoses:
     camera, projector : Imager
     digests : dict of str to str
         Digest of each session by the pose's name.
+    surfaces : dict of str to SurfaceSamples
+        What was decoded of the board's white parts, by the pose's name; empty if it was not asked
+        for.
     """
 
     views: tuple[BoardView, ...]
@@ -60,6 +64,7 @@ class BoardPoses:
     camera: Imager
     projector: Imager
     digests: dict[str, str]
+    surfaces: dict[str, SurfaceSamples] = field(default_factory=dict)
 
 
 def find_sessions(folders: Sequence[Path]) -> tuple[Path, ...]:
@@ -87,6 +92,7 @@ def measure_poses(
     board: Chessboard,
     *,
     compensate_phases: bool = True,
+    surface: bool = False,
     begin: Callable[[str], None] = lambda stage: None,
 ) -> BoardPoses:
     """Measure the board in every session.
@@ -97,7 +103,9 @@ def measure_poses(
         One pose of the board each.
     board : Chessboard or CharucoBoard
     compensate_phases : bool
-        As in :func:`~calibration.procam.measure_view`.
+        As in :func:`~calibration.measured_views.measure_view`.
+    surface : bool
+        Whether the board's white parts are sampled too, for its shape.
     begin : callable, optional
         Called with the name of each pose as it is begun.
 
@@ -111,6 +119,7 @@ def measure_poses(
     views: list[BoardView] = []
     unread: list[UnreadPose] = []
     digests: dict[str, str] = {}
+    surfaces: dict[str, SurfaceSamples] = {}
     first: Session | None = None
     opened = {name: Session.open(path) for name, path in _names(sessions).items()}
     _check_different(opened)
@@ -120,6 +129,9 @@ def measure_poses(
         _check_same_rig(first, session)
         try:
             measured = measure_pose(name, session, board, compensate_phases=compensate_phases)
+            if surface:
+                corners = measured.view.pixels[0]
+                surfaces[name] = sample_surface(measured.correspondence, corners, name=name)
             views.append(measured.view)
             digests[name] = session.digest
         except (CalibrationError, DecodingError) as error:
@@ -139,6 +151,7 @@ def measure_poses(
         first.plan.camera,
         first.plan.projector,
         digests,
+        surfaces,
     )
 
 

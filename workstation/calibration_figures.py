@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from calibration.gates import covered_cells, normal_spread_deg
 from calibration.lens import Lens, rotation
-from calibration.mrcal_covariance import parameter_covariance
 from calibration.procam import LENS_NAMES
+from calibration.recording_gates import covered_cells, normal_spread_deg
 from workstation.rig_calibration import CalibratedRig, HeldoutPlane
+from workstation.surface_figures import surface_figures
 
 FIGURES_FILE = "calibration.json"
 
@@ -26,7 +26,7 @@ def calibration_figures(done: CalibratedRig) -> dict[str, Any]:
     """
     calibration, poses = done.calibration, done.poses
     solution, board = calibration.solution, calibration.board
-    sigma = np.sqrt(np.maximum(np.diag(parameter_covariance(solution)), 0.0))
+    sigma = np.sqrt(np.maximum(np.diag(calibration.covariance().covariance), 0.0))
     counts = [len(lens.intrinsics) for lens in solution.lenses]
     cuts = np.split(sigma, np.cumsum(counts))
     baseline = float(np.linalg.norm(calibration.rig.rt_proj_cam[3:]))
@@ -40,7 +40,7 @@ def calibration_figures(done: CalibratedRig) -> dict[str, Any]:
             "rows": board.rows,
             "square_mm": board.square_mm,
             "square_sigma_mm": board.square_sigma_mm,
-            "bow_mm": solution.warp_mm.tolist(),
+            "bow_mm": None if calibration.surface else solution.warp_mm.tolist(),
             "shape_rms_mm": None
             if calibration.shape is None
             else calibration.shape.rms_mm.tolist(),
@@ -70,6 +70,7 @@ def calibration_figures(done: CalibratedRig) -> dict[str, Any]:
         "rejected_corners": [str(corner) for corner in calibration.rejected_corners],
         "earlier": [_drift(done, number) for number in range(len(done.earlier))],
         "sessions": poses.digests,
+        "surface": surface_figures(calibration),
         "seconds": done.seconds,
     }
 

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from acquisition.session_mosaic import warning_of_colours
-from calibration.gates import Gate
+from calibration.gate_limits import Gate
 from calibration.verdicts import GateReport
 from workstation.light_calibration import CalibratedLights
 from workstation.rig_calibration import CalibratedRig
+from workstation.surface_figures import surface_figures, surface_sentences
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,9 @@ def messages_on_rig(done: CalibratedRig) -> Messages:
             f"heights by this calibration are uncertain by {1000 * done.heights.rms_mm:.1f} µm "
             f"about their plane, lengths by {100 * done.heights.scale_sigma:.3f} %"
         )
+    figures = surface_figures(calibration)
+    if figures is not None:
+        said += surface_sentences(figures)
     if done.poses.unread:
         total = len(done.poses.unread) + len(done.poses.views)
         said.append(f"in {len(done.poses.unread)} of {total} sessions no board was measured")
@@ -74,10 +78,10 @@ def messages_on_lights(lights: CalibratedLights) -> Messages:
     grey = warning_of_colours(lights.white.session, lights.white.mosaic)
     if grey is not None:
         warnings.append(grey)
-    if arm.shading_excess > 1:
+    if arm.shading_excess > 1 and arm.placed_by_highlights:
         warnings.append(
-            f"the white target's radiance is off by {arm.shading_misfit:.1%} from a matt one's "
-            "under a lamp that falls off by a power of the cosine, which is more than noise; where "
-            "the lamp is was told by the highlights alone"
+            f"the white target's radiance is off by {arm.shading_misfit:.1%} from what a lamp that "
+            "falls off by a power of the cosine would make of it, and contradicts the highlights; "
+            "where the lamp is was told by these alone"
         )
     return Messages((said, *_on_gates(lights.gates)), tuple(warnings))

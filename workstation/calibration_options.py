@@ -1,4 +1,4 @@
-"""What ``impasto calibrate`` refuses at once, before minutes of measuring and solving."""
+"""Options of ``impasto calibrate``: what they name, and what is refused before minutes of work."""
 
 from __future__ import annotations
 
@@ -10,10 +10,14 @@ from typing import Any
 import typer
 
 from acquisition.session import Session
+from calibration.boards import CharucoBoard, Chessboard
 from calibration.errors import CalibrationError
 from calibration.lens import check_lens_model
 from calibration.rig_geometry import CAMERA_FILE, PROJECTOR_FILE, RigGeometry
+from devices.bayer import BayerPattern
+from workstation.calibration_extras import LightsAsked
 from workstation.destinations import Kind, check_destinations, check_replaced
+from workstation.light_calibration import LightOptions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,6 +105,86 @@ def check_lights_alone(given: Mapping[str, Any]) -> None:
             f"calibrates lights alone and leaves the rig as it is: leave {', '.join(useless)} out",
             param_hint="--rig",
         )
+
+
+def model_name(name: str) -> str:
+    """Name, in mrcal, of a lens model that is named without its beginning."""
+    return name if name.startswith("LENSMODEL_") else f"LENSMODEL_{name.upper()}"
+
+
+def board_of(
+    corners: tuple[int, int],
+    square_mm: float,
+    square_sigma_mm: float,
+    marker_mm: float | None,
+    dictionary: str,
+    *,
+    legacy: bool,
+) -> Chessboard:
+    """The board: a chessboard, or a ChArUco board if its markers have a size."""
+    columns, rows = corners
+    if marker_mm is None:
+        return Chessboard(
+            columns=columns, rows=rows, square_mm=square_mm, square_sigma_mm=square_sigma_mm
+        )
+    return CharucoBoard(
+        columns=columns,
+        rows=rows,
+        square_mm=square_mm,
+        square_sigma_mm=square_sigma_mm,
+        marker_mm=marker_mm,
+        dictionary=dictionary,
+        legacy=legacy,
+    )
+
+
+def lights_of(
+    *,
+    spheres: Path | None,
+    white: Path | None,
+    radius_mm: float | None,
+    circles: Iterable[str],
+    white_pixel: tuple[float, float] | None,
+    albedo: float,
+    mosaic: BayerPattern | None,
+    position: str | None,
+    lamps_for: tuple[Path, ...],
+) -> LightsAsked | None:
+    """The light arm that is to be calibrated; None if no photographs of spheres are named.
+
+    Raises
+    ------
+    typer.BadParameter
+        Options that go with others.
+    """
+    if spheres is None:
+        if white is not None or radius_mm is not None or tuple(circles) or lamps_for:
+            raise typer.BadParameter(
+                "--white, --sphere-radius, --sphere and --lamps-for go with --spheres"
+            )
+        return None
+    if radius_mm is None:
+        raise typer.BadParameter("name the spheres' radius", param_hint="--sphere-radius")
+    options = LightOptions(
+        sphere_mm=radius_mm,
+        spheres_px=tuple(_circle(text) for text in circles),
+        target_px=white_pixel,
+        albedo=albedo,
+        mosaic=mosaic,
+        place=position,
+    )
+    return LightsAsked(spheres, white, options, lamps_for)
+
+
+def _circle(text: str) -> tuple[float, float, float]:
+    try:
+        column, row, radius = map(float, text.split(","))
+    except ValueError:
+        raise typer.BadParameter(
+            f"takes column, row and radius in pixels, 400,300,60 say, not {text!r}",
+            param_hint="--sphere",
+        ) from None
+    return column, row, radius
 
 
 def _check_rigs(option: str, folders: Iterable[Path]) -> None:

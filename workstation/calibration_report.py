@@ -35,6 +35,8 @@ from workstation.report_page import Picture, Section, Table, anchor, page_templa
 from workstation.report_sections import LightSection, ReportSections, srgb_code
 from workstation.rig_calibration import CalibratedRig
 from workstation.section_plots import flat_field_picture, light_picture, response_picture
+from workstation.surface_figures import surface_sentences
+from workstation.surface_section import surface_section
 
 PAGE_FILE = "index.html"
 JSON_FILE = "report.json"
@@ -77,6 +79,7 @@ def write_report(
         summary=_summary(figures),
         parameters=_parameters(figures),
         pictures=_pictures(done),
+        surface=_surface(done, figures),
         sections=sections,
         light_picture=_light_picture(sections),
         flat_field_picture=_flat_field_picture(sections),
@@ -169,6 +172,11 @@ def _light_table(lights: LightSection) -> Table:
     )
 
 
+def _surface(done: CalibratedRig, figures: dict[str, Any]) -> Section | None:
+    surface = done.calibration.surface
+    return None if surface is None else surface_section(surface, figures["surface"])
+
+
 def _verdict(gates: GateReport) -> dict[str, str]:
     colour = "flag" if gates.failures or gates.not_tested else "good"
     return {"colour": colour if gates.passed else "bad", "sentence": gates.sentence()}
@@ -195,6 +203,8 @@ def _summary(figures: dict[str, Any]) -> list[str]:
             "The side of the board's squares was taken as exact: an error of it is an error of all "
             "lengths in proportion. Give its standard error with --square-sigma."
         )
+    if figures["surface"] is not None:
+        said += [f"{text[0].upper()}{text[1:]}." for text in surface_sentences(figures["surface"])]
     planes = figures["heldout_planes"]
     if planes:
         plane = max(planes, key=lambda one: one["smoothed_rms_mm"])
@@ -204,6 +214,8 @@ def _summary(figures: dict[str, Any]) -> list[str]:
             f"the worst, {plane['pose']}, is flat to {1000 * plane['smoothed_rms_mm']:.0f} µm over "
             f"1.5 mm; sizes are up to {100 * sizes:+.3f} % off."
         )
+    if figures.get("light_arm_error"):
+        said.append(f"The light arm was not calibrated: {figures['light_arm_error']}.")
     unread = [pose["name"] for pose in figures["unread"]]
     if unread:
         said.append(

@@ -34,7 +34,12 @@ from calibration.procam import (
     calibrate_procam,
 )
 from calibration.rig_geometry import RigGeometry
-from calibration.uncertainty import UncertaintyMap, uncertainty_map
+from calibration.surface_calibration import (
+    calibrate_by_surface,
+    solved_from_some,
+    split_surface_difference,
+)
+from calibration.uncertainty import UncertaintyMap
 from calibration.verdicts import GateReport
 from workstation.board_poses import LEAST_POSES, BoardPoses, UnreadPose, measure_pose
 
@@ -150,6 +155,8 @@ def calibrate_rig(
     ----------
     poses : BoardPoses
     options : ProcamOptions, optional
+        With ``board_shape``, and poses whose surfaces were sampled, all of the board's surface is
+        solved from.
     distances : callable, optional
         Lengths known apart from the board, and what the rig measures of them.
     earlier : sequence of Path
@@ -181,16 +188,16 @@ def calibrate_rig(
         options=options,
     )
     done()
+    if options.board_shape and poses.surfaces:
+        done = timed("solving from the board's surface")
+        calibration = calibrate_by_surface(calibration, poses.surfaces)
+        done()
     done = timed("cross-validating")
     differences = _differences(calibration, poses)
     planes, unreconstructed = _heldout_planes(calibration, poses, held_out)
     done()
     done = timed("propagating the uncertainty")
-    distance = calibration.working_distance_mm
-    maps = tuple(
-        uncertainty_map(calibration.solution, number, distance_mm=distance)
-        for number in range(len(LENS_NAMES))
-    )
+    maps = tuple(calibration.uncertainty_map(number) for number in range(len(LENS_NAMES)))
     heights = _height_uncertainty(calibration)
     drifts = _drifts(calibration, earlier)
     done()
@@ -222,6 +229,10 @@ def _differences(
 ) -> tuple[CalibrationDifference, ...]:
     if len(calibration.views) < _POSES_TO_SPLIT:
         return ()
+    if calibration.surface is not None:
+        return split_surface_difference(
+            calibration.surface, distance_mm=calibration.working_distance_mm
+        )
     return split_difference(
         list(calibration.views),
         calibration.board,
@@ -245,9 +256,8 @@ def _heldout_planes(
         if len(found) == count:
             break
         view = views[number]
-        solution = solve_without(calibration.solution, {view.name}, views, outlier_sigmas=np.inf)
-        rig = RigGeometry(solution.lenses[0], solution.lenses[1], solution.rt_lens_ref[1])
         try:
+            rig = _rig_without(calibration, int(number))
             measured = measure_pose(
                 view.name,
                 Session.open(poses.sessions[view.name]),
@@ -266,6 +276,18 @@ def _heldout_planes(
             continue
         found.append(HeldoutPlane(view.name, relief))
     return tuple(found), tuple(failed)
+
+
+def _rig_without(calibration: ProcamCalibration, number: int) -> RigGeometry:
+    """The rig by all views but one."""
+    views = list(calibration.views)
+    if calibration.surface is not None:
+        kept = [n for n in range(len(views)) if n != number]
+        return solved_from_some(calibration.surface, kept).rig
+    solution = solve_without(
+        calibration.solution, {views[number].name}, views, outlier_sigmas=np.inf
+    )
+    return RigGeometry(solution.lenses[0], solution.lenses[1], solution.rt_lens_ref[1])
 
 
 def _repeatability(planes: tuple[HeldoutPlane, ...]) -> Repeatability | None:

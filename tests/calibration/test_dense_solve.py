@@ -2,73 +2,23 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from blistered_board import (
+    BOARD,
+    NOISE_PX,
+    RIG,
+    SHEAR,
+    TURN,
+    aligned_poses,
+    poses,
+    relief,
+    simulated,
+    started,
+)
 
 from calibration.board_surface import SplineGrid
-from calibration.boards import Chessboard
 from calibration.dense_solve import solve_densely
 from calibration.errors import CalibrationError
-from calibration.lens import Lens, compose, rt_from_matrix, transform
-from calibration.rig_geometry import RigGeometry
-from calibration.surface_samples import SurfaceSamples
-
-BOARD = Chessboard(columns=8, rows=6, square_mm=10.0)
-SHEAR = 1e-3
-TURN = np.array([3e-4, 0.0, 1e-4, 0.0, 0.0, 0.0])
-NOISE_PX = 0.02
-RIG = RigGeometry(
-    Lens("LENSMODEL_OPENCV4", np.array([2000.0, 2000, 800, 600, -0.08, 0.1, 0, 0]), 1600, 1200),
-    Lens("LENSMODEL_OPENCV4", np.array([1900.0, 1900, 640, 850, -0.03, 0.02, 0, 0]), 1280, 800),
-    np.array([0.2, 0.25, 0.0, -140.0, -40.0, 70.0]),
-)
-TILTS = ((0.4, 0.1, 0.0), (-0.3, 0.35, 0.1), (0.1, -0.4, -0.1), (-0.1, 0.05, 1.5))
-
-
-def relief(places):
-    x, y = places.T
-    return 0.3 * np.exp(-(((x - 25) / 9) ** 2) - ((y - 30) / 7) ** 2) - 0.2 * np.exp(
-        -(((x - 60) / 8) ** 2) - ((y - 20) / 12) ** 2
-    )
-
-
-def poses():
-    import cv2
-
-    middle = BOARD.points.reshape(-1, 3).mean(axis=0)
-    found = []
-    for number, tilt in enumerate(TILTS):
-        turn = np.asarray(cv2.Rodrigues(np.array(tilt))[0], np.float64)
-        found.append(rt_from_matrix(turn, np.array([0, 0, 330.0 + 25 * number]) - turn @ middle))
-    return np.array(found)
-
-
-def simulated(rng, *, drift):
-    """Corners and samples of a sheared, blistered board; the projector turned at one pose."""
-    corners, samples = [], []
-    x, y = np.meshgrid(np.linspace(-6, 76, 30), np.linspace(-6, 56, 23))
-    places = np.column_stack([x.ravel(), y.ravel()])
-    surface = np.column_stack([places, relief(places)])
-    printed = BOARD.points.reshape(-1, 3).copy()
-    printed[:, 0] += SHEAR * printed[:, 1]
-    printed[:, 2] = relief(printed[:, :2])
-    for number, pose in enumerate(poses()):
-        moved = compose(drift * (number == 1), RIG.rt_proj_cam)
-        seen = RIG.camera.project(transform(pose, printed))
-        corners.append((seen + rng.normal(0, NOISE_PX, seen.shape)).reshape(6, 8, 2))
-        here = transform(pose, surface)
-        lit = RIG.projector.project(transform(moved, here))
-        lit = lit + rng.normal(0, NOISE_PX, lit.shape)
-        tile = (places // 20 + 1).astype(int) @ [1, 100]
-        samples.append(
-            SurfaceSamples(RIG.camera.project(here), lit, np.full(lit.shape, NOISE_PX**2), tile)
-        )
-    return corners, samples
-
-
-def started(rng):
-    step = np.zeros(len(RIG.parameters))
-    step[[0, 1, 2, 3, 8, 9, 10, 11]] = rng.normal(0, 4, 8)
-    step[-6:] = rng.normal(0, [1e-3] * 3 + [0.3] * 3)
-    return RIG.moved(step), poses() + rng.normal(0, [1e-3] * 3 + [0.2] * 3, (4, 6))
+from calibration.lens import compose, invert, transform
 
 
 @pytest.fixture(scope="module")
@@ -90,15 +40,17 @@ def test_lenses_are_found_within_their_uncertainty(solved):
 def test_relief_and_shear_of_the_board_are_found(solved):
     rng = np.random.default_rng(0)
     places = rng.uniform([0, 0], [70, 50], (500, 2))
-    error = solved.grid.heights(solved.relief, places)[:, 0] - relief(places)
+    error = solved.heights(places) - relief(places)
     x, y = (places / 50).T
     # A bow is what lenses of four poses leave open.
     slow = np.column_stack([np.ones(500), x, y, x * x, x * y, y * y])
     assert np.std(error - slow @ np.linalg.lstsq(slow, error, rcond=None)[0]) < 0.01
-    d = solved.displacement_mm
-    x, y = (BOARD.points[..., k] - BOARD.points[..., k].mean() for k in (0, 1))
-    shear = np.sum(d[..., 0] * y) / np.sum(y * y) + np.sum(d[..., 1] * x) / np.sum(x * x)
-    assert abs(shear - SHEAR) < 0.15 * SHEAR
+
+
+def test_how_askew_the_board_is_printed_is_told_with_its_standard_error(solved):
+    shear, stretch = solved.skew.sigma
+    assert abs(solved.skew.shear - SHEAR) < 3 * shear < 0.15 * SHEAR
+    assert abs(solved.skew.stretch) < 3 * stretch
 
 
 def test_a_projector_that_moved_between_two_poses_is_told(solved):
@@ -112,6 +64,38 @@ def test_a_projector_that_moved_between_two_poses_is_told(solved):
     assert abs(true[1]) > 0.5
     assert abs(found[1] - true[1]) < 0.25 * abs(true[1])
     np.testing.assert_allclose(solved.sample_rms_px, NOISE_PX, rtol=0.15)
+
+
+def test_motion_is_told_for_each_pose_with_its_standard_error(solved):
+    motion = solved.motion()
+    lit = transform(compose(RIG.rt_proj_cam, poses()[1]), BOARD.points)
+    # Three of four poses share the rest: of the mean the turn is off by three quarters.
+    shift = RIG.projector.project(transform(0.75 * TURN, lit)) - RIG.projector.project(lit)
+    true = np.sqrt(np.mean(np.sum(shift**2, axis=-1)))
+    assert abs(motion.moved_px[1] - true) < 3 * motion.moved_sigma_px[1] < 0.5 * true
+    assert np.argmax(motion.turn_rad) == 1
+    assert abs(motion.turn_rad[1] - 0.75 * np.linalg.norm(TURN)) < 3 * motion.turn_sigma_rad[1]
+
+
+def test_projection_errs_as_much_as_its_covariance_says(solved):
+    white = []
+    for number, (lens, true) in enumerate(
+        zip(solved.lenses, (RIG.camera, RIG.projector), strict=True)
+    ):
+        x, y = np.meshgrid(np.linspace(-0.1, 0.1, 5), np.linspace(-0.1, 0.1, 5))
+        points = 370 * np.stack([x, y, np.ones_like(x)], axis=-1)
+        carried = []
+        for pose, truth in zip(solved.rt_cam_board, aligned_poses(), strict=True):
+            # Of the projector's motion the mean is its usual pose.
+            usual = compose(TURN / 4, RIG.rt_proj_cam)
+            to = compose(usual, truth) if number else truth
+            of = compose(solved.rig.rt_proj_cam, pose) if number else pose
+            carried.append(transform(compose(to, invert(of)), points))
+        error = true.project(np.mean(carried, axis=0)) - lens.project(points)
+        root = np.linalg.cholesky(solved.projection_covariance(number, points))
+        white.append(np.linalg.solve(root, error[..., np.newaxis]))
+    # One solve is one draw of some twenty parameters.
+    assert 0.4 < np.sqrt(np.mean(np.square(white))) < 1.8
 
 
 def test_two_poses_are_refused(solved):

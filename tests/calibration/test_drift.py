@@ -7,7 +7,8 @@ import pytest
 
 from calibration.drift import compare_with_earlier
 from calibration.errors import CalibrationError
-from calibration.gates import Gate, check_calibration
+from calibration.gate_limits import Gate
+from calibration.gates import check_calibration
 from calibration.mrcal_solve import solve_lenses
 from calibration.procam import ProcamOptions, calibrate_procam
 from calibration.uncertainty import rig_covariance

@@ -23,15 +23,10 @@ from calibration.boards import Chessboard
 from calibration.cross_validation import fit_board_pose
 from calibration.dense_solve import solve_densely
 from calibration.lens import transform
+from calibration.measured_views import MeasuredView, measure_view
 from calibration.mrcal_solution import load_solution, stored_views
 from calibration.mrcal_solve import resolve, solve_lenses, with_noise_of
-from calibration.procam import (
-    MeasuredView,
-    ProcamCalibration,
-    ProcamOptions,
-    calibrate_procam,
-    measure_view,
-)
+from calibration.procam import ProcamCalibration, ProcamOptions, calibrate_procam
 from calibration.rig_geometry import RigGeometry
 from calibration.surface_samples import sample_surface
 from calibration.uncertainty import RigCovariance

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibration.board_views import BoardView
-from calibration.gates import Gate, KnownDistance, check_calibration
+from calibration.gate_limits import Gate
+from calibration.gates import KnownDistance, check_calibration
 from calibration.procam import ProcamCalibration, ProcamOptions, calibrate_procam
 from calibration.verdicts import GateReport
 from workstation.benchmark_records import Record, Sense

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,13 +11,8 @@ from devices.bayer import BayerPattern
 from workstation.json_output import JsonOption, write_json
 
 if TYPE_CHECKING:
-    from calibration.boards import Chessboard
-    from calibration.gates import KnownDistance
-    from calibration.rig_geometry import RigGeometry
-    from workstation.calibration_extras import Extras, LightsAsked
+    from workstation.calibration_extras import Extras
     from workstation.calibration_messages import Messages
-    from workstation.light_calibration import CalibratedLights
-    from workstation.rig_calibration import CalibratedRig
 
 
 def register(app: typer.Typer) -> None:
@@ -69,7 +64,11 @@ def calibrate(
     ] = None,
     board_shape: Annotated[
         bool,
-        typer.Option("--board-shape", help="Solve for the place of every corner: paper boards."),
+        typer.Option(
+            "--board-shape",
+            help="Solve for the shape of the board, from all of its white surface: paper boards. "
+            "Says how askew it is printed, and by how much camera and projector moved.",
+        ),
     ] = False,
     raw_phases: Annotated[
         bool, typer.Option("--raw-phases", help="Leave periodic errors of the fringes in.")
@@ -174,7 +173,8 @@ def calibrate(
     reported but not written, and the exit code is 5.
 
     For the lights, photograph two mirror spheres with a flat white target between them. The folder
-    then holds lamps.json, which impasto process takes.
+    then holds lamps.json, which impasto process takes. Lights that fail leave it out: a rig that
+    passed is written all the same.
 
     Example:
 
@@ -185,9 +185,18 @@ def calibrate(
         impasto calibrate poses/ --corners 14 10 --square 20 --marker 15 --out rig/ --report report/
         --spheres spheres/ --sphere-radius 15
     """
+    from calibration.procam import OPENCV_MODELS, ProcamOptions
     from workstation.calibration_extras import Extras
     from workstation.calibration_messages import messages_on_lights, messages_on_rig
-    from workstation.calibration_options import CalibrationPaths, check_lights_alone, check_models
+    from workstation.calibration_options import (
+        CalibrationPaths,
+        board_of,
+        check_lights_alone,
+        check_models,
+        lights_of,
+        model_name,
+    )
+    from workstation.calibration_run import RigAsked, run_calibration
     from workstation.files_in_progress import files_in_progress
     from workstation.interruption import too_late_to_stop
 
@@ -205,7 +214,7 @@ def calibrate(
                 "--opencv": opencv,
             }
         )
-    models = tuple(_model_name(name) for name in model or ())
+    models = tuple(model_name(name) for name in model or ())
     check_models(models)
     CalibrationPaths(
         sessions=tuple(sessions or ()),
@@ -221,140 +230,51 @@ def calibrate(
         opencv=opencv,
         json=json,
     ).check(force=force)
-    asked = _lights(spheres, white, sphere_radius, sphere, white_pixel, white_albedo, mosaic,
-                    position, lamps_for)  # fmt: skip
-    extras = Extras(asked, tuple(greys or ()), chart, mosaic)
+    lights_asked = lights_of(
+        spheres=spheres,
+        white=white,
+        radius_mm=sphere_radius,
+        circles=sphere or (),
+        white_pixel=white_pixel,
+        albedo=white_albedo,
+        mosaic=mosaic,
+        position=position,
+        lamps_for=tuple(lamps_for or ()),
+    )
+    extras = Extras(lights_asked, tuple(greys or ()), chart, mosaic)
     if rig is not None:
-        if asked is None:
+        if lights_asked is None:
             raise typer.BadParameter("goes with --spheres", param_hint="--rig")
         _calibrate_lights_alone(rig, extras, out, report, json, force=force)
         return
     if not sessions or corners is None or square is None:
         raise typer.BadParameter("name sessions of a board with --corners and --square, or a "
                                  "calibrated rig with --rig")  # fmt: skip
-    board = _board(corners, square, square_sigma, marker, dictionary, legacy=legacy)
-    with files_in_progress(report) as page:
-        done, lights, figures = _calibrate_all(
-            sessions,
-            board,
-            extras,
-            models=models,
-            board_shape=board_shape,
-            compensate_phases=not raw_phases,
-            held_out=held_out,
-            known_mm=None if baseline is None else (baseline, baseline_sigma),
-            earlier=tuple(earlier or ()),
-            report=page,
-        )
-        too_late_to_stop()
-    write_json(json, figures)
-    if done.gates.passed and (lights is None or lights.gates.passed):
-        _write(done, lights, asked, figures, out, opencv, force=force)
-    _say(messages_on_rig(done))
-    if lights is not None:
-        _say(messages_on_lights(lights))
-    _say_where(report)
-    done.gates.refuse()
-    if lights is not None:
-        lights.gates.refuse()
-
-
-def _lights(
-    spheres: Path | None,
-    white: Path | None,
-    radius_mm: float | None,
-    circles: list[str] | None,
-    white_pixel: tuple[float, float] | None,
-    albedo: float,
-    mosaic: BayerPattern | None,
-    position: str | None,
-    lamps_for: list[Path] | None,
-) -> LightsAsked | None:
-    from workstation.calibration_extras import LightsAsked
-    from workstation.light_calibration import LightOptions
-
-    if spheres is None:
-        if white is not None or radius_mm is not None or circles or lamps_for:
-            raise typer.BadParameter("--white, --sphere-radius, --sphere and --lamps-for go with "
-                                     "--spheres")  # fmt: skip
-        return None
-    if radius_mm is None:
-        raise typer.BadParameter("name the spheres' radius", param_hint="--sphere-radius")
-    options = LightOptions(
-        sphere_mm=radius_mm,
-        spheres_px=tuple(_circle(text) for text in circles or ()),
-        target_px=white_pixel,
-        albedo=albedo,
-        mosaic=mosaic,
-        place=position,
+    asked = RigAsked(
+        sessions=sessions,
+        board=board_of(corners, square, square_sigma, marker, dictionary, legacy=legacy),
+        options=ProcamOptions(models=models or OPENCV_MODELS, board_shape=board_shape),
+        compensate_phases=not raw_phases,
+        held_out=held_out,
+        baseline_mm=None if baseline is None else (baseline, baseline_sigma),
+        earlier=tuple(earlier or ()),
     )
-    return LightsAsked(spheres, white, options, tuple(lamps_for or ()))
-
-
-def _circle(text: str) -> tuple[float, float, float]:
-    try:
-        column, row, radius = map(float, text.split(","))
-    except ValueError:
-        raise typer.BadParameter(
-            f"takes column, row and radius in pixels, 400,300,60 say, not {text!r}",
-            param_hint="--sphere",
-        ) from None
-    return column, row, radius
-
-
-def _calibrate_all(
-    sessions: list[Path],
-    board: Chessboard,
-    extras: Extras,
-    *,
-    models: tuple[str, ...],
-    board_shape: bool,
-    compensate_phases: bool,
-    held_out: int,
-    known_mm: tuple[float, float] | None,
-    earlier: tuple[Path, ...],
-    report: Path | None,
-) -> tuple[CalibratedRig, CalibratedLights | None, dict[str, Any]]:
-    from calibration.procam import OPENCV_MODELS, ProcamOptions
-    from workstation.board_poses import find_sessions, measure_poses
-    from workstation.calibration_figures import calibration_figures
-    from workstation.calibration_report import write_report
-    from workstation.progress import progress
-    from workstation.rig_calibration import calibrate_rig
-
-    found = find_sessions(sessions)
-    steps_of_lights = 3 if extras.lights is not None else 0
-    total = len(found) + 3 + (report is not None) + steps_of_lights
-    with progress("calibrating", total=total) as steps:
-
-        def begin(stage: str) -> None:
-            steps.advance()
-            steps.begin(stage)
-
-        poses = measure_poses(found, board, compensate_phases=compensate_phases, begin=begin)
-        done = calibrate_rig(
-            poses,
-            options=ProcamOptions(models=models or OPENCV_MODELS, board_shape=board_shape),
-            distances=lambda rig: _distances(rig, known_mm),
-            earlier=earlier,
-            held_out=held_out,
-            begin=begin,
-        )
-        figures = calibration_figures(done)
-        lights = None
-        if extras.lights is not None and done.gates.passed:
-            lights = extras.lights.calibrate(done.calibration.rig, begin=begin)
-            figures |= {"light_arm": lights.figures()}
-        if report is not None:
-            begin("writing the report")
-            write_report(
-                done,
-                report,
-                sections=extras.sections(lights),
-                figures=figures,
-                light_gates=None if lights is None else lights.gates,
-            )
-    return done, lights, figures
+    with files_in_progress(report) as page:
+        done = run_calibration(asked, extras, report=page)
+        too_late_to_stop()
+    write_json(json, done.figures)
+    if done.rig.gates.passed:
+        if out is not None:
+            done.save(out, extras, replace=force)
+            typer.echo(f"{out}: calibration of the rig")
+        if opencv is not None:
+            done.rig.calibration.save_opencv(opencv)
+            typer.echo(f"{opencv}: for OpenCV")
+    _say(messages_on_rig(done.rig))
+    if done.lights is not None:
+        _say(messages_on_lights(done.lights))
+    _say_where(report)
+    done.refuse(out)
 
 
 def _calibrate_lights_alone(
@@ -367,97 +287,22 @@ def _calibrate_lights_alone(
     force: bool,
 ) -> None:
     from acquisition.atomic_files import folder_in_progress
-    from calibration.rig_geometry import RigGeometry
     from workstation.calibration_messages import messages_on_lights
-    from workstation.calibration_report import write_light_report
+    from workstation.calibration_run import run_light_calibration
     from workstation.files_in_progress import files_in_progress
     from workstation.interruption import too_late_to_stop
-    from workstation.progress import progress
 
-    assert extras.lights is not None  # by the check of the options
-    with progress("calibrating the lights", total=4) as steps:
-
-        def begin(stage: str) -> None:
-            steps.advance()
-            steps.begin(stage)
-
-        lights = extras.lights.calibrate(RigGeometry.load(rig), begin=begin)
-        with files_in_progress(report) as page:
-            if page is not None:
-                write_light_report(lights, extras.sections(lights), page)
-            too_late_to_stop()
+    with files_in_progress(report) as page:
+        lights = run_light_calibration(rig, extras, report=page)
+        too_late_to_stop()
     write_json(json, {"light_arm": lights.figures()})
-    if out is not None and lights.gates.passed:
+    if out is not None and extras.lights is not None and lights.gates.passed:
         with folder_in_progress(out, replace=force) as folder:
             extras.lights.write(lights, folder)
         typer.echo(f"{out}: calibration of the light arm")
     _say(messages_on_lights(lights))
     _say_where(report)
     lights.gates.refuse()
-
-
-def _board(
-    corners: tuple[int, int],
-    square: float,
-    sigma: float,
-    marker: float | None,
-    dictionary: str,
-    *,
-    legacy: bool,
-) -> Chessboard:
-    from calibration.boards import CharucoBoard, Chessboard
-
-    columns, rows = corners
-    if marker is None:
-        return Chessboard(columns=columns, rows=rows, square_mm=square, square_sigma_mm=sigma)
-    return CharucoBoard(
-        columns=columns,
-        rows=rows,
-        square_mm=square,
-        square_sigma_mm=sigma,
-        marker_mm=marker,
-        dictionary=dictionary,
-        legacy=legacy,
-    )
-
-
-def _model_name(name: str) -> str:
-    return name if name.startswith("LENSMODEL_") else f"LENSMODEL_{name.upper()}"
-
-
-def _distances(rig: RigGeometry, baseline_mm: tuple[float, float] | None) -> list[KnownDistance]:
-    import numpy as np
-
-    from calibration.gates import KnownDistance
-
-    if baseline_mm is None:
-        return []
-    return [KnownDistance(float(np.linalg.norm(rig.rt_proj_cam[3:])), *baseline_mm)]
-
-
-def _write(
-    done: CalibratedRig,
-    lights: CalibratedLights | None,
-    asked: LightsAsked | None,
-    figures: dict[str, Any],
-    out: Path | None,
-    opencv: Path | None,
-    *,
-    force: bool,
-) -> None:
-    from acquisition.atomic_files import folder_in_progress
-    from workstation.calibration_figures import FIGURES_FILE
-
-    if out is not None:
-        with folder_in_progress(out, replace=force) as folder:
-            done.calibration.save(folder)
-            if lights is not None and asked is not None:
-                asked.write(lights, folder)
-            write_json(folder / FIGURES_FILE, figures)
-        typer.echo(f"{out}: calibration of the rig")
-    if opencv is not None:
-        done.calibration.save_opencv(opencv)
-        typer.echo(f"{opencv}: for OpenCV")
 
 
 def _say_where(report: Path | None) -> None:
