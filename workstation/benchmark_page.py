@@ -83,10 +83,13 @@ def run_benchmarks(names: Sequence[str], out: Path) -> BenchmarksRun:
             title="Benchmarks",
             summary=f"{held} of {len(records)} figures are within their bounds.",
             sections=tuple(sections),
-            warnings=tuple(
-                f"{r.name}: {r.value:.4g} {r.unit}, bound {limits_text(r)}"
-                for r in records
-                if not r.holds
+            warnings=(
+                *(f"{name} failed: {why}" for name, why in failed.items()),
+                *(
+                    f"{r.name}: {r.value:.4g} {r.unit}, bound {limits_text(r)}"
+                    for r in records
+                    if not r.holds
+                ),
             ),
         )
         too_late_to_stop()

@@ -258,7 +258,10 @@ def _of_one_scale(heights_mm: list[NDArray[np.float64]], name: str) -> list[byte
 def _light_picture(sections: ReportSections) -> Picture | None:
     if sections.lights is None:
         return None
-    caption = "Positions of the lamp about the white target, which is the square"
+    caption = (
+        "Positions of the lamp about the white target, which is the square; colours are what the "
+        "model of the arm leaves of the lamp's direction, grey where that was not seen"
+    )
     return Picture(caption, light_picture(sections.lights))
 
 

@@ -18,20 +18,26 @@ def light_picture(lights: LightSection) -> bytes:
     figure = Figure(figsize=(4.6, 3.7), dpi=_DPI)
     FigureCanvasAgg(figure)
     axes = figure.add_subplot(projection="3d")
-    axes.set_position((0.0, 0.02, 0.78, 0.98))
+    # The label of the third axis stands beside the place.
+    axes.set_position((0.0, 0.02, 0.7, 0.98))
     seen = np.isfinite(lights.residual_deg)
     # Poses without a highlight are known by the model alone.
-    axes.scatter(*lights.position_mm[~seen].T, color="#999", s=12)
+    axes.scatter(*lights.position_mm[~seen].T, color="#999", s=12, depthshade=False)
     shown = axes.scatter(
-        *lights.position_mm[seen].T, c=lights.residual_deg[seen], cmap="viridis", s=18
+        *lights.position_mm[seen].T,
+        c=lights.residual_deg[seen],
+        cmap="viridis",
+        s=18,
+        depthshade=False,
     )
     for one in lights.position_mm:
-        axes.plot(*np.stack([one, one * [1, 1, 0]], axis=1), color="#bbb", lw=0.5)
+        axes.plot(*np.stack([one, one * [1, 1, 0]], axis=1), color="#888", lw=0.6)
     axes.scatter([0], [0], [0], color="#b3402a", marker="s", s=24)
     axes.set_xlabel("X, mm", fontsize=8)
     axes.set_ylabel("Y, mm", fontsize=8)
     axes.set_zlabel("Z, mm", fontsize=8)
     axes.tick_params(labelsize=7)
+    axes.set_aspect("equal")
     bar = figure.colorbar(shown, cax=figure.add_axes((0.85, 0.2, 0.03, 0.6)))
     bar.set_label("residual, °", fontsize=8)
     bar.ax.tick_params(labelsize=7)
@@ -48,7 +54,6 @@ def response_picture(curve: ResponseCurve) -> bytes:
         axes.fill_between(
             curve.x, curve.y - curve.sigma_y, curve.y + curve.sigma_y, color="#9db8cc", alpha=0.6
         )
-    axes.set_title(curve.name, fontsize=9)
     axes.set_xlabel(curve.input_name, fontsize=9)
     axes.set_ylabel(curve.output_name, fontsize=9)
     axes.tick_params(labelsize=8)
