@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from calibration.arm_geometry import ArmParameters
 from calibration.errors import CalibrationError
+from calibration.incidence_law import TERMS, incidence_factor
 from calibration.lamp import fall_off
 from calibration.lens import Lens
 from calibration.mirror_spheres import MirrorSphere
@@ -101,6 +102,8 @@ class ArmProblem:
         By which the variances of the target's radiance are scaled; infinite leaves it out.
     lamp_only : bool
         Whether the arm is held where it is.
+    matt : bool
+        Whether the target follows Lambert's law; otherwise it departs from it by the incidence.
     """
 
     poses: tuple[ArmPose, ...]
@@ -111,6 +114,7 @@ class ArmProblem:
     left_out: NDArray[np.bool_] | None = None
     excess: float = 1.0
     lamp_only: bool = False
+    matt: bool = True
 
     @property
     def spots(self) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
@@ -132,6 +136,10 @@ class ArmProblem:
     def of_all(self, excess: float) -> ArmProblem:
         """Everything, with the variances of the target scaled."""
         return replace(self, excess=excess, lamp_only=False)
+
+    def of_any_law(self) -> ArmProblem:
+        """With a target that reflects as it likes by the incidence."""
+        return replace(self, matt=False)
 
     def misses(
         self, numbers: NDArray[np.float64], *, rejected: bool = False
@@ -186,7 +194,7 @@ class ArmProblem:
 
     def target_gains(self, arm: ArmParameters) -> NDArray[np.float64]:
         """Factors (points,) of the target's points that suit an arm best, 1 on average."""
-        return self._gains_of(self._predicted_radiance(arm))
+        return self._gains_of(self._by_incidence(arm))
 
     def _gains_of(self, predicted: NDArray[np.float64]) -> NDArray[np.float64]:
         shading = self.shading
@@ -203,21 +211,60 @@ class ArmProblem:
     def shading_residuals(self, arm: ArmParameters) -> NDArray[np.float64]:
         """(poses, points, 3) over their standard errors; NaN where not known."""
         shading = self.shading
-        predicted = self._predicted_radiance(arm)
-        if shading.gains_unknown:
-            predicted = predicted * self._gains_of(predicted)[:, np.newaxis]
+        predicted = self._suited(arm)
         return np.asarray((predicted - shading.radiance) / (shading.sigma * np.sqrt(self.excess)))
 
     def shading_misfit(self, arm: ArmParameters) -> float:
         """Root mean square of the target's radiance over that predicted, less one."""
-        predicted = self._predicted_radiance(arm)
-        if self.shading.gains_unknown:
-            predicted = predicted * self._gains_of(predicted)[:, np.newaxis]
+        predicted = self._suited(arm)
         seen = np.isfinite(self.shading.radiance) & (predicted > 0)
         if not seen.any():
             return float("nan")
         off = self.shading.radiance[seen] / predicted[seen] - 1
         return float(np.sqrt(np.mean(off**2)))
+
+    def _suited(self, arm: ArmParameters) -> NDArray[np.float64]:
+        """Radiance with the law of incidence and the gains that suit it best."""
+        predicted = self._by_incidence(arm)
+        if self.shading.gains_unknown:
+            predicted = predicted * self._gains_of(predicted)[:, np.newaxis]
+        return predicted
+
+    def _by_incidence(self, arm: ArmParameters) -> NDArray[np.float64]:
+        """Radiance (poses, points, 3) with the law of incidence that suits it best."""
+        shading = self.shading
+        places = arm.positions(self.poses)[:, np.newaxis]
+        axes = arm.axes(self.poses)[:, np.newaxis]
+        towards = places - shading.points
+        cosine = np.maximum(towards @ shading.normal, 0) / np.linalg.norm(towards, axis=-1)
+        light = fall_off(places, axes, arm.exponent, shading.points) * cosine
+        if not self.matt:
+            seen, weight = self._logarithms()
+            lit = light > 0
+            light = light * incidence_factor(
+                cosine,
+                np.where(lit, seen - np.log(np.where(lit, light, 1.0)), 0.0),
+                np.where(lit, weight, 0.0),
+                by_point=shading.gains_unknown,
+            )
+        return np.asarray(light[..., np.newaxis] * arm.intensity * (shading.albedo / np.pi))
+
+    def _logarithms(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Of the target's radiance, mean over its colours (poses, points), and their weights."""
+        cached = self.__dict__.get("_logs")
+        if cached is None:
+            seen, sigma = self.shading.radiance, self.shading.sigma
+            known = np.isfinite(seen) & (seen > 0)
+            seen = np.where(known, seen, 1.0)
+            weight = np.where(known, (seen / np.where(known, sigma, 1.0)) ** 2, 0.0)
+            total, by_colour = weight.sum(axis=2), weight.sum(axis=(0, 1))
+            logs = np.log(seen)
+            # Colours weigh otherwise from pose to pose: their levels must not differ.
+            logs = logs - (weight * logs).sum(axis=(0, 1)) / np.where(by_colour > 0, by_colour, 1.0)
+            mean = (weight * logs).sum(axis=2) / np.where(total > 0, total, 1.0)
+            cached = mean, total
+            object.__setattr__(self, "_logs", cached)
+        return cached
 
     def sphere_shift_sigmas(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
         """By which spheres were moved (spheres,), over their standard errors, RMS of three axes."""
@@ -225,23 +272,14 @@ class ArmProblem:
         shifts = [_whitened(one, move) for one, move in zip(self.highlights, moves, strict=True)]
         return np.sqrt(np.mean(np.square(shifts), axis=1))
 
-    def _predicted_radiance(self, arm: ArmParameters) -> NDArray[np.float64]:
-        shading = self.shading
-        places = arm.positions(self.poses)[:, np.newaxis]
-        axes = arm.axes(self.poses)[:, np.newaxis]
-        towards = places - shading.points
-        cosine = np.maximum(towards @ shading.normal, 0) / np.linalg.norm(towards, axis=-1)
-        light = fall_off(places, axes, arm.exponent, shading.points) * cosine
-        return np.asarray(light[..., np.newaxis] * arm.intensity * (shading.albedo / np.pi))
-
     def shading_excess(self, numbers: NDArray[np.float64], alone: NDArray[np.float64]) -> float:
         """By how much the target is off beyond what noise explains, mean square; 1 if by chance.
 
         A likelihood ratio (S. S. Wilks, 1938): what the sum of squares of an arm fitted to
         everything is beyond that of one fitted without the target, with as many degrees of freedom
-        as the target has samples, less the lamp's numbers. A target that is not matt is off by
-        something smooth, which neighbouring points share; so what is off in level, slope and bend
-        at each pose is held against noise by itself too, and the larger ratio counts.
+        as the target has samples, less the lamp's numbers and the law's. A target of another law is
+        off by something smooth, which neighbouring points share; so what is off in level, slope and
+        bend at each pose is held against noise by itself too, and the larger ratio counts.
 
         Parameters
         ----------
@@ -257,14 +295,11 @@ class ArmProblem:
         poses = int(known.any(axis=(1, 2)).sum())
         free = 1 if self.shading.gains_unknown else 0
         alike = 1 / 3 if self.shading.is_monochrome else 1.0
-        without = replace(self, excess=np.inf)
-        pulled = float(
-            np.sum(without.residuals(numbers) ** 2) - np.sum(without.residuals(alone) ** 2)
-        )
+        pulled = self._pull(numbers, alone)
         smooth = self._smooth_parts(residuals)
         total = pulled + float(np.sum(residuals[known] ** 2))
         shared = pulled + float(smooth @ smooth)
-        fitted = LAMP.stop - LAMP.start
+        fitted = LAMP.stop - LAMP.start + (0 if self.matt else TERMS)
         count = alike * known.sum() - free * len(self.shading.points) - fitted
         smooth_count = len(smooth) * (1 - free / max(poses, 1)) - fitted
         ratios = [1.0]
@@ -272,6 +307,54 @@ class ArmProblem:
             if chi2.sf(found, max(freedom, 1.0)) < _CHANCE:
                 ratios.append(found / max(freedom, 1.0))
         return max(ratios)
+
+    def agrees(self, numbers: NDArray[np.float64], alone: NDArray[np.float64]) -> bool:
+        """Whether the target moves the arm no farther than the highlights allow by chance.
+
+        Parameters
+        ----------
+        numbers : (n,) array
+            Fitted to everything.
+        alone : (n,) array
+            Fitted to all but the target.
+        """
+        from scipy.stats import chi2
+
+        return bool(chi2.sf(self._pull(numbers, alone), LAMP.start) >= _CHANCE)
+
+    def _pull(self, numbers: NDArray[np.float64], alone: NDArray[np.float64]) -> float:
+        """By how much the highlights' sum of squares grows as the target is listened to."""
+        without = replace(self, excess=np.inf)
+        return float(np.sum(without.residuals(numbers) ** 2 - without.residuals(alone) ** 2))
+
+    def radius_error(self, numbers: NDArray[np.float64]) -> tuple[float, float]:
+        """By which the spheres' radius is wrong, relative, and its standard error.
+
+        Spheres, arm and lamp grow together from the camera's place without any highlight moving: a
+        radius is as right as it was measured, for all that spheres show. The target stands where
+        the code says, and its shading contradicts a lamp that is too near or too far. What is given
+        is the step of Gauss and Newton in the radius, with all else free (C. R. Rao's score test).
+
+        Parameters
+        ----------
+        numbers : (n,) array
+            Fitted to everything.
+        """
+        step = 1e-4
+        ends = [
+            replace(
+                self, highlights=tuple(_scaled(one, 1 + change) for one in self.highlights)
+            ).misses(numbers)
+            for change in (step, -step)
+        ]
+        residuals, jacobian = self.residuals(numbers), self.jacobian(numbers)
+        grown = np.zeros_like(residuals)
+        grown[: ends[0].size] = np.nan_to_num((ends[0] - ends[1]) / (2 * step)).ravel()
+        scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+        basis, size, _ = np.linalg.svd(jacobian / scale, full_matrices=False)
+        basis = basis[:, size > 1e-7 * size[0]]
+        left = grown - basis @ (basis.T @ grown)
+        return float(-(left @ residuals) / (left @ left)), float(1 / np.linalg.norm(left))
 
     def _smooth_parts(self, residuals: NDArray[np.float64]) -> NDArray[np.float64]:
         """Level, slope and bend of residuals (poses, points, 3) over the target, unit variances."""
@@ -324,12 +407,20 @@ class ArmProblem:
             jacobian[:, number] = (ends[0] - ends[1]) / (2 * step[number])
         return jacobian
 
-    def minimise(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Least sum of squares from a start, by NLopt."""
+    def minimise(
+        self, numbers: NDArray[np.float64], *, rounds: int = _ROUNDS
+    ) -> NDArray[np.float64]:
+        """Least sum of squares from a start, by NLopt.
+
+        Raises
+        ------
+        CalibrationError
+            After so many rounds it has not ended.
+        """
         import nlopt
 
         here = numbers
-        for _ in range(_ROUNDS):
+        for _ in range(rounds):
             jacobian = self.jacobian(here)
             scale = np.linalg.norm(jacobian, axis=0)
             scale[scale == 0] = 1.0
@@ -385,6 +476,17 @@ class ArmProblem:
         count = len(self.start.as_array())
         arm = self.start.moved(numbers[:count] - self.start.as_array())
         return arm, numbers[count:].reshape(-1, 3)
+
+
+def _scaled(one: SphereHighlights, factor: float) -> SphereHighlights:
+    """Highlights of a sphere that is larger and as much farther from the camera."""
+    sphere = replace(
+        one.sphere,
+        centre=one.sphere.centre * factor,
+        radius_mm=one.sphere.radius_mm * factor,
+        covariance=one.sphere.covariance,
+    )
+    return replace(one, sphere=sphere)
 
 
 def _whitened(one: SphereHighlights, move: NDArray[np.float64]) -> NDArray[np.float64]:

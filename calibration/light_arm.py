@@ -35,6 +35,10 @@ __all__ = ["LightArm", "SphereHighlights", "TargetShading", "fit_light_arm"]
 _LEAST_POSES = 6
 # Of the lamp's directions across the ring's axis, RMS along the narrower side.
 _LEAST_SPREAD = 0.05
+# In which a target that agrees with the highlights is fitted together with them: six is usual.
+_TRIAL_ROUNDS = 12
+# How often a target that does not agree is weighted by what is left of its misfit.
+_WEIGHTINGS = 4
 # Chance below which a misfit is not taken for noise.
 _CHANCE = 1e-4
 _OUTLIER_SIGMAS = 6.0
@@ -64,7 +68,7 @@ class LightArm:
         By which variances were scaled, since all highlights are off by more than noise explains.
     shading_excess : float
         Likewise of the target's radiance: above 1, the lamp's anisotropy is another one, or the
-        target is not matt, and the highlights alone told where the lamp is.
+        target reflects by more than the incidence.
     target_gains : (points,) float64 array or None
         Factors of the target's points, where they were not known.
     shading_misfit : float
@@ -72,6 +76,13 @@ class LightArm:
     sphere_shift_sigmas : (spheres,) float64 array
         How far the highlights moved each sphere from where its outline is, root mean square over
         three axes, in standard errors; empty where it was not kept.
+    radius_error, radius_sigma : float
+        By which the target's shading says that the spheres' radius is larger than it was given,
+        relative, and its standard error; NaN where it was not kept.
+    matt : bool
+        Whether the target follows Lambert's law; otherwise one of its own by the incidence.
+    placed_by_highlights : bool
+        Whether the target was not believed where the lamp is: it contradicts the highlights.
     """
 
     parameters: ArmParameters
@@ -84,6 +95,10 @@ class LightArm:
     target_gains: NDArray[np.float64] | None = None
     shading_misfit: float = float("nan")
     sphere_shift_sigmas: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    radius_error: float = float("nan")
+    radius_sigma: float = float("nan")
+    matt: bool = True
+    placed_by_highlights: bool = False
 
     def lamp(self, pose: ArmPose) -> Lamp:
         """The lamp at a pose."""
@@ -166,15 +181,29 @@ def fit_light_arm(
     # A target that agrees with the highlights tells of the place too. One that does not errs alike
     # under all poses, which no weight of single samples accounts for: it would move the arm. Where
     # the highlights leave the arm is no place to ask: the lamp's numbers go far astray with it.
-    everything = lamp.of_all(1.0)
-    together = everything.minimise(numbers)
-    excess = everything.shading_excess(together, placed)
-    if excess == 1:
-        return _result(everything, everything, together, excess=excess)
-    everything = lamp.of_all(excess)
-    together = everything.minimise(numbers)
+    for everything in (lamp.of_all(1.0), lamp.of_all(1.0).of_any_law()):
+        try:
+            together = everything.minimise(numbers, rounds=_TRIAL_ROUNDS)
+        except CalibrationError:
+            # So far from the truth that no step helps; how far, its excess says.
+            together = numbers
+        excess = everything.shading_excess(together, placed)
+        radius = everything.radius_error(together)
+        if excess == 1:
+            return _result(everything, everything, together, excess=excess, radius=radius)
+    # What is left has no known form; it is noise to a joint fit, if that leaves the highlights be.
+    for _ in range(_WEIGHTINGS):
+        everything = everything.of_all(excess)
+        together = everything.minimise(together)
+        left = everything.of_all(1.0).shading_excess(together, placed)
+        if left > 0.5 * excess:
+            break
+        excess = left
+    radius = everything.radius_error(together)
+    if everything.agrees(together, placed):
+        return _result(everything, everything, together, excess=excess, radius=radius)
     numbers = _with_lamp_of(together, numbers, everything)
-    return _result(everything, base, numbers, excess=excess)
+    return _result(everything, base, numbers, excess=excess, radius=radius)
 
 
 def _with_lamp_of(
@@ -301,7 +330,12 @@ def _inverse(jacobian: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _result(
-    problem: ArmProblem, placing: ArmProblem, numbers: NDArray[np.float64], *, excess: float
+    problem: ArmProblem,
+    placing: ArmProblem,
+    numbers: NDArray[np.float64],
+    *,
+    excess: float,
+    radius: tuple[float, float],
 ) -> LightArm:
     from scipy.stats import chi2
 
@@ -334,6 +368,9 @@ def _result(
         problem.target_gains(arm) if problem.shading.gains_unknown else None,
         problem.shading_misfit(arm),
         problem.sphere_shift_sigmas(numbers),
+        *radius,
+        matt=problem.matt,
+        placed_by_highlights=not same,
     )
     middle = problem.shading.points.mean(axis=0)
     worst = max(fitted.direction_sigma_deg(pose, middle) for pose in problem.poses)

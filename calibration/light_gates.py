@@ -16,7 +16,10 @@ from numpy.typing import NDArray
 
 from calibration.light_arm import LightArm
 from calibration.mirror_spheres import MirrorSphere
-from calibration.verdicts import Criterion, GateReport, Sense, Verdict
+from calibration.verdicts import Criterion, GateReport, Sense, Untested, Verdict
+
+# What a radius may seem wrong by chance, in standard errors.
+_SIGMAS = 3.0
 
 
 class LightGate(StrEnum):
@@ -27,6 +30,7 @@ class LightGate(StrEnum):
     HIGHLIGHTS = "highlights"
     SUSPECT = "suspect poses"
     SHADING = "shading of the target"
+    RADIUS = "radius of the spheres by the target's shading"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +52,11 @@ class LightGateLimits:
         which it is flagged: what is called matt departs from Lambert's law by some hundredths.
     largest_shading_misfit : float
         The same, beyond which it refuses.
+    radius_error : float
+        Most relative error of the spheres' radius, beyond three times its standard error, by the
+        target's shading; a hundredth is 0.4° of direction. Beyond these three alone it is flagged.
+    radius_sigma : float
+        Largest standard error of it that tells anything.
     """
 
     behind_radii: float = 1.0
@@ -57,6 +66,8 @@ class LightGateLimits:
     suspect_share: float = 0.25
     shading_misfit: float = 0.03
     largest_shading_misfit: float = 0.1
+    radius_error: float = 0.005
+    radius_sigma: float = 0.02
 
 
 def check_lights(
@@ -79,15 +90,17 @@ def check_lights(
     limits : LightGateLimits, optional
     """
     limits = limits or LightGateLimits()
-    return GateReport(
-        (
-            check_distance(spheres, target_middle, target_normal, limits),
-            _outlines(arm, limits),
-            _highlights(arm, limits),
-            _suspect(arm, limits),
-            _shading(arm, limits),
-        )
-    )
+    verdicts = [
+        check_distance(spheres, target_middle, target_normal, limits),
+        _outlines(arm, limits),
+        _highlights(arm, limits),
+        _suspect(arm, limits),
+        _shading(arm, limits),
+    ]
+    radius = _radius(arm, spheres[0].radius_mm, limits)
+    if isinstance(radius, Untested):
+        return GateReport(tuple(verdicts), (radius,))
+    return GateReport((*verdicts, radius))
 
 
 def check_distance(
@@ -185,4 +198,27 @@ def _shading(arm: LightArm, limits: LightGateLimits) -> Verdict:
         ),
         f"the white target's radiance is off by {found:.1%} from what the lamps would give: is it "
         "matt, is the spheres' radius right, and was every other light out?",
+    )
+
+
+def _radius(arm: LightArm, radius_mm: float, limits: LightGateLimits) -> Verdict | Untested:
+    if not arm.radius_sigma <= limits.radius_sigma:
+        return Untested(
+            LightGate.RADIUS, "the target's radiance tells too little; photograph more poses"
+        )
+    off, sigma = abs(arm.radius_error), arm.radius_sigma
+    right = radius_mm * (1 + arm.radius_error)
+    return Verdict(
+        LightGate.RADIUS,
+        (
+            Criterion(
+                "relative error beyond three standard errors",
+                max(off - _SIGMAS * sigma, 0.0),
+                limits.radius_error,
+            ),
+            Criterion("over its standard error", off / sigma, _SIGMAS, refuses=False),
+        ),
+        f"how the light falls on the white target asks for spheres of {right:.2f} mm (standard "
+        f"error {radius_mm * arm.radius_sigma:.2f} mm), not {radius_mm:g} mm: measure their "
+        "diameter, of which the radius is half",
     )

@@ -21,6 +21,9 @@ _RAYS = 240
 _LEAST_EDGES = 24
 # Of the radius in pixels, how far from a first guess the edge is looked for.
 _SEARCH = 0.12
+# Between samples of an edge's profile, and the deviation in samples by which it is smoothed.
+_SAMPLE_PX = 0.5
+_SMOOTHING = 1.5
 _OUTLIER = 4.0
 _ROUNDS = 5
 _STEP_PX = 0.01
@@ -28,7 +31,7 @@ _STEP_PX = 0.01
 _SPOT_LEVEL = 0.2
 # Standard error of its middle times the root of its pixels.
 _SPOT_SIGMA = 0.2
-_LEAST_SIGMA_PX = 0.02
+_LEAST_SIGMA_PX = 0.005
 # Pixels of a spot whose profile is not fitted: its edge tells as much.
 _LARGE_SPOT = 150
 _LEAST_SAMPLES = 16
@@ -188,11 +191,11 @@ def find_outline(
     if not (np.isfinite(near).all() and radius > 4):
         raise CalibrationError(f"a sphere of {radius} pixels is too small for its outline")
     turn = np.linspace(0, 2 * np.pi, _RAYS, endpoint=False)
-    away = np.arange(radius * (1 - _SEARCH), radius * (1 + _SEARCH), 0.5)
+    away = np.arange(radius * (1 - _SEARCH), radius * (1 + _SEARCH), _SAMPLE_PX)
     cols = column + away * np.cos(turn)[:, np.newaxis]
     rows = row + away * np.sin(turn)[:, np.newaxis]
     profile = map_coordinates(image, [rows, cols], order=1, mode="constant", cval=np.nan)
-    slope = np.abs(np.gradient(gaussian_filter1d(profile, 1.5, axis=1), axis=1))
+    slope = np.abs(np.gradient(gaussian_filter1d(profile, _SMOOTHING, axis=1), axis=1))
     slope = np.nan_to_num(slope, nan=0.0)
     peak = slope[:, 2:-2].argmax(axis=1) + 2
     line = np.arange(_RAYS)
@@ -200,7 +203,12 @@ def find_outline(
     bend = before - 2 * at + after
     clear = (bend < 0) & (at > 4 * np.median(slope, axis=1)) & (at > 0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        place = away[peak] + 0.5 * (0.5 * (before - after) / bend)
+        place = away[peak] + _SAMPLE_PX * (0.5 * (before - after) / bend)
+        # A Gaussian's top is bent by its height over its variance, between samples a little less.
+        width = -(_SAMPLE_PX**2) * (at / bend + 0.25)
+    # Of a blurred disc the steepest place is within its edge, by half the variance times curvature.
+    blur = np.median(width[clear]) - (_SAMPLE_PX * _SMOOTHING) ** 2 if clear.any() else 0.0
+    place = place + max(float(blur), 0.0) / (2 * radius)
     found = np.stack([column + place * np.cos(turn), row + place * np.sin(turn)], axis=1)
     return found[clear]
 

@@ -8,7 +8,13 @@ import pytest
 from calibration.errors import CalibrationError
 from calibration.lens import rt_from_matrix, transform
 from calibration.light_arm import fit_light_arm
-from workstation.benchmarks.lights import LENS, RT_CAM_SCENE, direction_errors, see_arm
+from workstation.benchmarks.lights import (
+    LENS,
+    RT_CAM_SCENE,
+    SPHERE_MM,
+    direction_errors,
+    see_arm,
+)
 
 
 @pytest.fixture(scope="module")
@@ -84,6 +90,30 @@ def test_another_anisotropy_shows():
     arm = ringed.fit()
     assert arm.shading_excess > 3
     assert direction_errors(ringed, arm)[0].max() < 0.1
+
+
+def test_a_target_of_another_law_tells_where_the_lamp_is_all_the_same():
+    # Of light that enters paint (Schlick), 1.5 % less at 60° than a matt one.
+    dull = see_arm(seed=3, poses=16, incidence=lambda cosine: 1 - 0.5 * (1 - cosine) ** 5)
+    arm = dull.fit()
+    assert not arm.matt
+    assert not arm.placed_by_highlights
+    degrees, white = direction_errors(dull, arm)
+    assert degrees.max() < 0.12
+    assert 0.3 < np.sqrt(np.mean(white**2)) < 1.8
+
+
+def test_the_target_tells_the_radius_of_the_spheres(seen, fitted):
+    smaller = [
+        replace(
+            one,
+            sphere=replace(one.sphere, centre=0.98 * one.sphere.centre, radius_mm=0.98 * SPHERE_MM),
+        )
+        for one in seen.highlights
+    ]
+    for arm, factor in ((fitted, 1.0), (replace(seen, highlights=smaller).fit(), 0.98)):
+        assert arm.radius_sigma < 0.005
+        assert (1 + arm.radius_error) * factor == pytest.approx(1, abs=3 * arm.radius_sigma)
 
 
 def test_a_wrong_highlight_is_named_and_does_no_harm(seen):
