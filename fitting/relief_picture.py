@@ -39,7 +39,7 @@ def draw_relief(copy: DigitalCopy, path: Path) -> None:
     low, high = np.quantile(field.height[field.mask], [0.001, 0.9995])
     heights = _thin(np.where(field.mask, field.height, np.nan))
     tall = field.mask & (field.height > relief.delta0_mm)
-    shown = axes[0].imshow(heights, extent=extent, cmap="turbo", vmin=low, vmax=high)
+    shown = axes[0].imshow(heights, extent=extent, cmap="viridis", vmin=low, vmax=high)
     figure.colorbar(shown, ax=axes[0], fraction=0.04, label="mm")
     axes[0].set_title("heights above the canvas plane")
     axes[1].imshow(_thin(_shades(field.mask, tall)), extent=extent, cmap="gray", vmin=0, vmax=2)

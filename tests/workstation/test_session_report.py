@@ -13,6 +13,7 @@ from browser import check_page
 from impasto_command import impasto
 from synthetic_copy import make_copy
 
+from acquisition.contact_sheet import draw_contact_sheet, draw_contact_sheets
 from acquisition.session import Session
 from devices.simulated.rig import demo_rig
 from fitting.copy_files import write_copy
@@ -157,6 +158,23 @@ def test_the_page_tells_everything_and_asks_for_nothing(report, session):
 
 def test_the_page_is_whole_and_reachable_in_a_browser(browser, report):
     check_page(browser, report.page)
+
+
+def test_sheets_that_fit_a_page_show_every_frame_in_the_order_of_the_plan(session):
+    opened = Session.open(session)
+    whole, figures = draw_contact_sheet(opened)
+    sheets, again = draw_contact_sheets(opened, columns=4, rows=3)
+    assert again == figures
+    assert len(sheets) == -(-len(opened.plan.frames) // 12)
+    # A place is a thumbnail of 160 × 120 with three lines below it and a gap of 6 around it.
+    down, across = 120 + 3 * 13 + 6, 160 + 6
+    for number in range(len(opened.plan.frames)):
+        seen = []
+        for sheet, n in ((whole, number), (sheets[number // 12], number % 12)):
+            row, col = divmod(n, sheet.shape[1] // across)
+            top, left = 6 + row * down, 6 + col * across
+            seen.append(sheet[top : top + down - 6, left : left + across - 6])
+        np.testing.assert_array_equal(*seen)
 
 
 def test_a_copy_alone_has_a_page_too(tmp_path):
