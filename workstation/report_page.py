@@ -14,6 +14,8 @@ from matplotlib.figure import Figure
 
 from acquisition.atomic_files import write_bytes
 
+_UNITS = "mm|µm|px|texels|°|dB|1/sr|ms|s|min|MB|%"
+
 
 @dataclass(frozen=True)
 class Picture:
@@ -124,8 +126,9 @@ def page_templates() -> Environment:
 def typeset(text: object) -> Markup:
     """A text as HTML, its numbers and symbols as they are printed.
 
-    Negative numbers get a minus sign and zero none, digits from 10 000 on stand in threes, and
-    indices of symbols are lowered.
+    Negative numbers get a minus sign and zero none, digits from 10 000 on stand in threes, units
+    stay with their numbers, and indices of symbols are lowered. Names of many parts may be broken
+    between them.
     """
     said = str(escape(text))
     said = re.sub(r"(?<![\w.)])-(?=\.?\d)", "\N{MINUS SIGN}", said)
@@ -135,7 +138,9 @@ def typeset(text: object) -> Markup:
         lambda number: f"{int(number[0]):,}".replace(",", "\N{NARROW NO-BREAK SPACE}"),
         said,
     )
-    return Markup(re.sub(r"(?<![\w.])(?:([ρfc])_([dsxy])|(δ)(0))(?!\w)", _lowered, said))
+    said = re.sub(rf"(?<=\d) (?=(?:{_UNITS})(?!\w))", "\N{NO-BREAK SPACE}", said)
+    said = re.sub(r"(?<![\w.])(?:([ρfc])_([dsxy])|(δ)(0))(?!\w)", _lowered, said)
+    return Markup(re.sub(r"(?<=[a-z0-9][a-z0-9][._])(?=[a-z])", "<wbr>", said))
 
 
 def _lowered(symbol: re.Match[str]) -> str:

@@ -62,7 +62,7 @@ def test_every_benchmark_runs_even_if_one_fails(three, tmp_path):
         "It failed: no light",
         "failing failed: no light",
         "a curve",
-        "two: 3 s, bound at most 2",
+        "two: 3\xa0s, bound at most 2",
     ):
         assert said in page
     with pytest.raises(SessionError, match="exists already"):

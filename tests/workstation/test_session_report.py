@@ -70,6 +70,11 @@ class Page(HTMLParser):
     def handle_data(self, data):
         self.text.append(data)
 
+    @property
+    def said(self):
+        """Its text as it was before it was typeset for lines to break well."""
+        return "".join(self.text).replace("\xa0", " ")
+
     def picture(self, alt):
         source = next(source for name, source in self.pictures if name == alt)
         content = base64.b64decode(source.partition(",")[2])
@@ -137,7 +142,7 @@ def test_the_page_tells_everything_and_asks_for_nothing(report, session):
     page = Page(report.page)
     assert all(a.startswith(("data:", "#")) for a in page.addresses)
     assert {a[1:] for a in page.addresses if a.startswith("#")} <= page.anchors
-    text = " ".join(page.text)
+    text = page.said
     wanted = ("two canvases & one frame", "<somewhere>", "1.50", "30.0 µm", "20.0 µm", "4.0 µm")
     for word in (
         *wanted,
@@ -245,11 +250,12 @@ def test_a_slider_parts_two_pictures_and_can_be_moved_by_keys(browser, tmp_path)
 @pytest.mark.parametrize(
     ("written", "printed"),
     [
-        ("-0.68 and 1.4 mm", "−0.68 and 1.4 mm"),
-        ("-0.00 µm", "0.00 µm"),
-        ("59571 texels of 12345.67", "59\u202f571 texels of 12345.67"),
+        ("-0.68 and 1.4 mm", "−0.68 and 1.4\xa0mm"),
+        ("-0.00 µm", "0.00\xa0µm"),
+        ("59571 people of 12345.67", "59\u202f571 people of 12345.67"),
         ("front-0004 on 2026-11-30, 1e-05", "front-0004 on 2026-11-30, 1e-05"),
-        ("π ρ_d, δ0, surface.c_x", "π ρ<sub>d</sub>, δ<sub>0</sub>, surface.c_x"),
+        ("π ρ_d, δ0, surface.c_x", "π ρ<sub>d</sub>, δ<sub>0</sub>, surface.<wbr>c_x"),
+        ("relief.delta0_mm is 1.5 mm.", "relief.<wbr>delta0_<wbr>mm is 1.5\xa0mm."),
         ("<b> & '", "&lt;b&gt; &amp; &#39;"),
     ],
 )
