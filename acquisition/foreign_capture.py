@@ -22,6 +22,7 @@ from acquisition.errors import CaptureError
 from acquisition.frame_files import Samples
 from acquisition.patterns import BLACK, WHITE, Axis, Gray, PhaseShift, Uniform
 from acquisition.plan import Crop, Plan, PlannedFrame
+from acquisition.png_chunks import readable_png
 from acquisition.session_writer import SessionWriter
 
 
@@ -156,11 +157,12 @@ def read_picture(path: Path, *, channel: Channel | None = None) -> Samples:
         The file cannot be read, is neither 8 nor 16 bit, or is in colour and no channel is named.
     """
     try:
-        content = np.fromfile(path, np.uint8)
+        content = readable_png(path.read_bytes())
     except OSError as error:
         raise CaptureError(f"{path}: {error.strerror}") from None
     try:
-        image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
+        coded = np.frombuffer(content or b"", np.uint8)
+        image = cv2.imdecode(coded, cv2.IMREAD_UNCHANGED) if content else None
     except cv2.error as error:
         raise CaptureError(f"{path}: not a picture that can be read ({error.err})") from None
     if image is None:

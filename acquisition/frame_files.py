@@ -20,11 +20,11 @@ from isal import isal_zlib
 from numpy.typing import NDArray
 
 from acquisition.errors import SessionError
+from acquisition.png_chunks import PNG_SIGNATURE, png_chunk, readable_png
 
 Samples = NDArray[np.uint8] | NDArray[np.uint16]
 SUFFIX = ".png"
 
-_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _GREY = 0
 # Filters: a sample less its left neighbour, or less the one above.
 _LEFT, _ABOVE = 1, 2
@@ -67,7 +67,7 @@ def encode_frame(image: Samples, *, name: str) -> bytes:
     )
     pieces = (content[i : i + _CHUNK_BYTES] for i in range(0, len(content), _CHUNK_BYTES))
     parts = ((b"IHDR", header), *((b"IDAT", piece) for piece in pieces), (b"IEND", b""))
-    return _SIGNATURE + b"".join(_chunk(kind, part) for kind, part in parts)
+    return PNG_SIGNATURE + b"".join(png_chunk(kind, part) for kind, part in parts)
 
 
 def decode_frame(content: bytes, *, path: Path) -> Samples:
@@ -78,8 +78,9 @@ def decode_frame(content: bytes, *, path: Path) -> Samples:
     SessionError
         The content is not a whole picture.
     """
+    readable = readable_png(content) or b""
     try:
-        image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+        image = cv2.imdecode(np.frombuffer(readable, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
         # No content at all, or a header that tells a size beyond all measure.
         image = None
@@ -129,8 +130,3 @@ def _deflate(filtered: NDArray[np.uint8]) -> list[bytes]:
 
     with ThreadPoolExecutor(len(strips)) as threads:
         return list(threads.map(compress, range(len(strips))))
-
-
-def _chunk(kind: bytes, content: bytes) -> bytes:
-    checksum = zlib.crc32(content, zlib.crc32(kind))
-    return b"".join((struct.pack(">I", len(content)), kind, content, struct.pack(">I", checksum)))

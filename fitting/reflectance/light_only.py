@@ -10,11 +10,13 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryFile
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.png_chunks import readable_png
 from calibration.lamp import Lamp
 from calibration.lens import Lens, rt_from_matrix
 from calibration.light_directions import read_lp
@@ -143,16 +145,25 @@ def _distant(
     )
 
 
+def _decoded(path: Path) -> NDArray[Any] | None:
+    """The samples of a picture's file, in OpenCV's order of channels; None if it is not whole."""
+    try:
+        content = readable_png(path.read_bytes())
+        coded = np.frombuffer(content or b"", np.uint8)
+        return cv2.imdecode(coded, cv2.IMREAD_UNCHANGED) if content else None
+    except OSError as error:
+        raise FittingError(f"{path}: {error.strerror}") from None
+    except cv2.error as error:  # of a size beyond all sense, for one
+        raise FittingError(f"{path}: not a readable picture ({error.err})") from None
+
+
 def _read_picture(path: Path, *, linear: bool) -> _Picture:
     """A picture and its variance.
 
     Grey pictures have three equal channels, whose variance is tripled: together they say no more
     than one.
     """
-    try:
-        picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    except cv2.error as error:  # of a size beyond all sense, for one
-        raise FittingError(f"{path}: not a readable picture ({error.err})") from None
+    picture = _decoded(path)
     if picture is None:
         raise FittingError(f"{path}: not a readable picture")
     grey = picture.ndim == 2
