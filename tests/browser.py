@@ -161,8 +161,9 @@ def headless_browser() -> Iterator[Browser]:
 
 def check_page(browser: Browser, page: Path) -> None:
     """Hold a page against what every page must be: whole at any width, reachable, printable."""
+    browser.open(page, width=WIDTHS_PX[0])
     for width in WIDTHS_PX:
-        browser.open(page, width=width)
+        browser.resize(width, 900)
         faults = browser.told() + browser.evaluate(_NOT_SHOWN) + browser.evaluate(_FAINT)
         assert not faults, f"{page.name} at {width} pixels: {'; '.join(faults)}"
     _check_keyboard(browser)
