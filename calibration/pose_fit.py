@@ -259,7 +259,7 @@ def _system(pairs: CodePairs, lens: Lens, pose: NDArray[np.float64], free_lens: 
     weight = _inverse2(covariance)
     # Points behind the camera are outliers, whatever else they are.
     residuals = np.where(behind[:, np.newaxis], 1e9, pairs.pixels - pixels)
-    return _System(residuals, _derivative(lens, points, free_lens=free_lens), weight)
+    return _System(residuals, pose_derivative(lens, points, free_lens=free_lens), weight)
 
 
 def _inverse2(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -269,8 +269,19 @@ def _inverse2(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(adjugate / (a * d - b * b)[:, np.newaxis, np.newaxis])
 
 
-def _derivative(lens: Lens, points: NDArray[np.float64], *, free_lens: bool) -> NDArray[np.float64]:
-    """(points, 2, parameters) derivative of pixels by turn, shift, and lens."""
+def pose_derivative(
+    lens: Lens, points: NDArray[np.float64], *, free_lens: bool
+) -> NDArray[np.float64]:
+    """Derivative (points, 2, parameters) of pixels by a camera's turn and shift, and by its lens.
+
+    Parameters
+    ----------
+    lens : Lens
+    points : (n, 3) array
+        In the camera's frame, mm.
+    free_lens : bool
+        Whether the lens's parameters follow the turn (rad) and the shift (mm).
+    """
     gradient = lens.project_with_gradient(points)[1]
     across = np.zeros((len(points), 3, 3))
     for row, column, of, sign in ((0, 1, 2, 1), (0, 2, 1, -1), (1, 2, 0, 1)):
@@ -362,7 +373,7 @@ def pixel_covariance(
     seen = transform(rt_cam_ref, np.asarray(points, np.float64))
     if not (seen[:, 2] > 0).all():
         raise RegistrationError("points behind the camera have no place in its picture")
-    jacobian = _derivative(lens, seen, free_lens=len(covariance) > 6)
+    jacobian = pose_derivative(lens, seen, free_lens=len(covariance) > 6)
     return np.asarray(jacobian @ covariance @ np.swapaxes(jacobian, 1, 2))
 
 

@@ -96,6 +96,18 @@ def photograph(
     return CorrespondenceMap(axes, level, np.where(outside, 16, 0).astype(np.uint16), (0, 0), 1.0)
 
 
+def noiseless(
+    lens: Lens, rt_cam_rig: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """What every pixel truly sees: points (rows, cols, 3) of the rig's frame, and its code.
+
+    The code (rows, cols, 2) is the projector's column and row.
+    """
+    points = _surface_points(lens, rt_cam_rig, flat=False)
+    code = _true_panel(_Scene(lens, RIG, flat=False), tuple(map(float, rt_cam_rig)))
+    return points.reshape(lens.height, lens.width, 3), code
+
+
 @dataclass(frozen=True, eq=False)
 class _Scene:
     """What a camera looks at, and through what; the same where the numbers are."""
