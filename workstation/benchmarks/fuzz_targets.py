@@ -14,9 +14,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from acquisition.capture_description import read_description
+from acquisition.capture_description import Channel, read_description
 from acquisition.errors import SessionError
-from acquisition.foreign_capture import find_capture, record_capture
+from acquisition.foreign_capture import find_capture, read_picture, record_capture
 from acquisition.journal import AnyEvent, FrameRecorded, append_event, read_journal
 from acquisition.light_poses import spread_poses
 from acquisition.session import JOURNAL_FILE, MANIFEST_FILE, Session, manifest_text
@@ -114,6 +114,7 @@ TARGETS = (
     "session resealed",
     "rig.toml",
     "capture.toml",
+    "pictures of many formats",
     "camera models",
     "OpenCV calibration",
     "copy",
@@ -143,6 +144,7 @@ def make_targets(place: Path) -> tuple[Target, ...]:
     copy = process_session(session).copy
     write_copy(replace(copy, reflectance=_reflectance(copy)), place / "copy")
     write_capture(place / "capture", width=24, height=18)
+    _write_pictures(place / "pictures")
     (place / "rig").mkdir()
     (place / "rig" / _RIG_FILE).write_text(_RIG)
     (place / "lamps").mkdir()
@@ -161,6 +163,7 @@ def make_targets(place: Path) -> tuple[Target, ...]:
         Target("session resealed", session, _process_session, mend=reseal),
         Target("rig.toml", place / "rig", _read_rig),
         Target("capture.toml", place / "capture", _import_capture),
+        Target("pictures of many formats", place / "pictures", _read_pictures),
         Target(
             "camera models",
             session,
@@ -257,6 +260,23 @@ def _import_capture(folder: Path) -> bytes:
         return fingerprint(session.plan.model_dump_json().encode(), *frames)
     finally:
         shutil.rmtree(out, ignore_errors=True)
+
+
+def _read_pictures(folder: Path) -> bytes:
+    pictures = (read_picture(file, channel=Channel.MEAN) for file in sorted(folder.iterdir()))
+    return fingerprint(*(np.ascontiguousarray(picture).tobytes() for picture in pictures))
+
+
+def _write_pictures(folder: Path) -> None:
+    """The formats of other software's captures, in grey and in colour, of 8 and of 16 bits."""
+    folder.mkdir()
+    random = np.random.default_rng(0)
+    grey = random.integers(0, 256, (18, 24)).astype(np.uint8)
+    colour = random.integers(0, 65536, (18, 24, 3)).astype(np.uint16)
+    for suffix in ("bmp", "jpg", "pgm", "ras", "webp"):
+        cv2.imwrite(str(folder / f"grey.{suffix}"), grey)
+    for suffix in ("png", "tif"):
+        cv2.imwrite(str(folder / f"colour.{suffix}"), colour)
 
 
 def _read_opencv(folder: Path) -> bytes:

@@ -44,6 +44,7 @@ _TRIALS = {
     "session resealed": 1500,
     "rig.toml": 4000,
     "capture.toml": 1500,
+    "pictures of many formats": 2000,
     "camera models": 3000,
     "OpenCV calibration": 2000,
     "copy": 4000,
