@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
 from calibration.arm_geometry import ArmParameters
 from calibration.errors import CalibrationError
 from calibration.incidence_law import TERMS, incidence_factor
@@ -29,6 +30,11 @@ _LEAST_GAIN = 1e-6
 # Those of an arm's numbers that are the lamp's: aim, intensity and exponent.
 LAMP = slice(10, 17)
 INTENSITY = slice(13, 16)
+# A sample of the target that is off by more than all and than this, as a logarithm, is in a shadow;
+# more of them than this share are no shadow.
+_SHADOW_SIGMAS = 6.0
+_LEAST_SHADOW = 0.03
+_SHADOWED = 0.05
 # Chance below which a misfit is not taken for noise.
 _CHANCE = 1e-4
 
@@ -214,6 +220,23 @@ class ArmProblem:
         predicted = self._suited(arm)
         return np.asarray((predicted - shading.radiance) / (shading.sigma * np.sqrt(self.excess)))
 
+    def without_shadows(self, numbers: NDArray[np.float64]) -> ArmProblem:
+        """Without the few samples of the target that no lamp explains: a shadow is upon them.
+
+        At the target's corners a shadow on a point or two looks like a bend of the light, as long
+        as each pose is looked at by itself.
+        """
+        shading = self.shading
+        predicted = self.of_any_law()._suited(self.split(numbers)[0])
+        known = np.isfinite(shading.radiance) & (shading.radiance > 0) & (predicted > 0)
+        off = np.log(np.where(known, shading.radiance, 1) / np.where(known, predicted, 1))
+        spread = MEDIAN_TO_SIGMA * float(np.median(np.abs(off[known])))
+        far = known & (np.abs(off) > max(_SHADOW_SIGMAS * spread, _LEAST_SHADOW))
+        if not 0 < far.sum() < _SHADOWED * known.sum():
+            return self
+        seen = np.where(far.any(axis=2, keepdims=True), np.nan, shading.radiance)
+        return replace(self, shading=replace(shading, radiance=seen))
+
     def shading_misfit(self, arm: ArmParameters) -> float:
         """Root mean square of the target's radiance over that predicted, less one."""
         predicted = self._suited(arm)
@@ -354,7 +377,8 @@ class ArmProblem:
         basis, size, _ = np.linalg.svd(jacobian / scale, full_matrices=False)
         basis = basis[:, size > 1e-7 * size[0]]
         left = grown - basis @ (basis.T @ grown)
-        return float(-(left @ residuals) / (left @ left)), float(1 / np.linalg.norm(left))
+        told = max(float(left @ left), 1e-300)
+        return float(-(left @ residuals) / told), float(1 / np.sqrt(told))
 
     def _smooth_parts(self, residuals: NDArray[np.float64]) -> NDArray[np.float64]:
         """Level, slope and bend of residuals (poses, points, 3) over the target, unit variances."""

@@ -178,6 +178,12 @@ def fit_light_arm(
     numbers = placed.copy()
     numbers[: len(arm.as_array())] += _lamp_step(arm, problem.poses, shading)
     numbers = lamp.minimise(numbers)
+    for _ in range(_WEIGHTINGS):
+        lit = lamp.without_shadows(numbers)
+        if lit is lamp:
+            break
+        lamp = lit
+        numbers = lamp.minimise(numbers)
     # A target that agrees with the highlights tells of the place too. One that does not errs alike
     # under all poses, which no weight of single samples accounts for: it would move the arm. Where
     # the highlights leave the arm is no place to ask: the lamp's numbers go far astray with it.
