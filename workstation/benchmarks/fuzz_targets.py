@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from acquisition.capture_description import Channel, read_description
@@ -23,7 +22,7 @@ from acquisition.session import JOURNAL_FILE, MANIFEST_FILE, Session, manifest_t
 from calibration.arm_files import ARM_FILE, load_light_arm, save_light_arm
 from calibration.arm_geometry import ArmParameters
 from calibration.light_arm import LightArm
-from calibration.opencv_files import read_rig_geometry, write_matrices
+from calibration.opencv_files import read_rig_geometry
 from calibration.rig_geometry import RigGeometry
 from devices.interfaces import ArmPose
 from devices.rig_file import read_rig_file
@@ -32,6 +31,14 @@ from fitting.copy_files import read_copy, write_copy
 from fitting.digital_copy import DigitalCopy, ReflectanceMaps
 from fitting.reflectance.lamp_table import LampTable
 from fitting.reflectance.light_only import read_light_only
+from workstation.benchmarks.foreign_captures import (
+    CALIBRATION_FILE,
+    CAPTURE_FILE,
+    DOME_FILE,
+    write_capture,
+    write_dome,
+    write_pictures,
+)
 from workstation.benchmarks.fuzzing import Target, fingerprint
 from workstation.demo_truth import DeclaredLamps
 from workstation.demonstration import record_simulated_scan
@@ -40,14 +47,11 @@ from workstation.result_files import read_result, write_result
 from workstation.stage_cache import StageCache
 
 _CAMERA_WIDTH = 96
-_CAPTURE_TOML = "capture.toml"
-_CALIBRATION_FILE = "calibration.yml"
 _RIG_FILE = "rig.toml"
 _LAMPS_FILE, _LAMPS = "lamps.json", 4
 _RESULT_FILE = "result.npz"
 _DIGEST_FILE = "result.sha256"
 _STAGES = "stages"
-DOME_FILE = "lights.lp"
 _RIG = """
 [camera]
 driver = "simulated"
@@ -80,35 +84,6 @@ painting = "oil"
 seed = 3
 camera_width = 96
 """
-_CAPTURE = """
-name = "a small capture"
-camera = {{ width = {width}, height = {height} }}
-projector = {{ width = 64, height = 48 }}
-saturation_level = 255
-
-[[phase_shift]]
-axis = "column"
-periods = 4
-files = {{ pattern = "##.png", first = 0, last = 3 }}
-
-[[gray]]
-axis = "column"
-step_px = 16
-threshold = "phase-shift mean"
-files = ["04.png", "05.png"]
-
-[calibration]
-file = "calibration.yml"
-camera_matrix = "Kc"
-camera_distortion = "dc"
-projector_matrix = "Kp"
-projector_distortion = "dp"
-rotation = "R"
-translation = "t"
-pose = "camera to projector"
-"""
-
-
 TARGETS = (
     "session as recorded",
     "session resealed",
@@ -144,7 +119,7 @@ def make_targets(place: Path) -> tuple[Target, ...]:
     copy = process_session(session).copy
     write_copy(replace(copy, reflectance=_reflectance(copy)), place / "copy")
     write_capture(place / "capture", width=24, height=18)
-    _write_pictures(place / "pictures")
+    write_pictures(place / "pictures")
     (place / "rig").mkdir()
     (place / "rig" / _RIG_FILE).write_text(_RIG)
     (place / "lamps").mkdir()
@@ -170,7 +145,7 @@ def make_targets(place: Path) -> tuple[Target, ...]:
             _read_models,
             files=("calibration/*",),
         ),
-        Target("OpenCV calibration", place / "capture", _read_opencv, files=(_CALIBRATION_FILE,)),
+        Target("OpenCV calibration", place / "capture", _read_opencv, files=(CALIBRATION_FILE,)),
         Target("copy", place / "copy", _read_copy),
         Target("table of lamps", place / "lamps", _read_lamps),
         Target("light arm", place / "arm", _read_arm),
@@ -249,7 +224,7 @@ def _read_rig(folder: Path) -> bytes:
 
 
 def _import_capture(folder: Path) -> bytes:
-    description = read_description(folder / _CAPTURE_TOML)
+    description = read_description(folder / CAPTURE_FILE)
     capture = find_capture(folder, description)
     out = folder.parent / "imported"
     shutil.rmtree(out, ignore_errors=True)
@@ -267,20 +242,8 @@ def _read_pictures(folder: Path) -> bytes:
     return fingerprint(*(np.ascontiguousarray(picture).tobytes() for picture in pictures))
 
 
-def _write_pictures(folder: Path) -> None:
-    """The formats of other software's captures, in grey and in colour, of 8 and of 16 bits."""
-    folder.mkdir()
-    random = np.random.default_rng(0)
-    grey = random.integers(0, 256, (18, 24)).astype(np.uint8)
-    colour = random.integers(0, 65536, (18, 24, 3)).astype(np.uint16)
-    for suffix in ("bmp", "jpg", "pgm", "ras", "webp"):
-        cv2.imwrite(str(folder / f"grey.{suffix}"), grey)
-    for suffix in ("png", "tif"):
-        cv2.imwrite(str(folder / f"colour.{suffix}"), colour)
-
-
 def _read_opencv(folder: Path) -> bytes:
-    description = read_description(folder / _CAPTURE_TOML)
+    description = read_description(folder / CAPTURE_FILE)
     assert description.calibration is not None
     rig = read_rig_geometry(
         folder / description.calibration.file,
@@ -368,41 +331,3 @@ def _reflectance(copy: DigitalCopy) -> ReflectanceMaps:
     lobe = np.broadcast_to(np.array([-1.0, -1.0, 1.1, 20.0], np.float32), (*shape, 4))
     diffuse = np.full((*shape, 3), 0.2, np.float32)
     return ReflectanceMaps(diffuse, np.full((*shape, 3), 0.1, np.float32), lobe.copy())
-
-
-def write_capture(folder: Path, *, width: int, height: int) -> None:
-    """Write a small capture of other software, with its calibration and its description."""
-    folder.mkdir()
-    (folder / _CAPTURE_TOML).write_text(_CAPTURE.format(width=width, height=height))
-    x = np.arange(width) * 64 / width
-    for step in range(4):
-        level = 120 + 80 * np.cos(2 * np.pi * (x / 16 + step / 4))
-        _write_rows(folder / f"{step:02d}.png", level, height)
-    cell = (x // 16).astype(int)
-    code = cell ^ (cell >> 1)
-    for bit, name in ((1, "04.png"), (0, "05.png")):
-        _write_rows(folder / name, 40.0 + 160 * ((code >> bit) & 1), height)
-    lens = np.array([[30.0, 0, width / 2], [0, 30, height / 2], [0, 0, 1]])
-    panel = np.array([[80.0, 0, 32], [0, 80, 24], [0, 0, 1]])
-    matrices = {"Kc": lens, "dc": np.zeros((1, 5)), "Kp": panel, "dp": np.zeros((1, 5))}
-    pose = {"R": np.eye(3), "t": np.array([[-100.0], [0], [0]])}
-    write_matrices(folder / _CALIBRATION_FILE, matrices | pose)
-
-
-def _write_rows(file: Path, level: np.ndarray, height: int) -> None:
-    cv2.imwrite(str(file), np.tile(level.astype(np.uint8), (height, 1)))
-
-
-def write_dome(folder: Path, *, lights: int, width: int, height: int) -> None:
-    """Write pictures of a flat matt board under distant lights, and the table of these."""
-    folder.mkdir()
-    random = np.random.default_rng(0)
-    lines = [f"{lights}"]
-    for number in range(lights):
-        polar, turn = np.radians(15 + 45 * number / lights), 2.4 * number
-        x, y, z = np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn), np.cos(polar)
-        linear = 0.5 * z + 0.001 * random.standard_normal((height, width, 3))
-        picture = np.clip(np.rint(65535 * linear), 0, 65535).astype(np.uint16)
-        cv2.imwrite(str(folder / f"{number:02}.png"), picture)
-        lines.append(f"{number:02}.png {x:.6f} {y:.6f} {z:.6f}")
-    (folder / DOME_FILE).write_text("\n".join(lines) + "\n")

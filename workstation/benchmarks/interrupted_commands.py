@@ -23,7 +23,7 @@ from fitting.copy_files import read_copy
 from fitting.reflectance.clusters import ClusterOptions
 from fitting.reflectance.lamp_table import LampTable
 from workstation.benchmarks import watched_lamp
-from workstation.benchmarks.fuzz_targets import DOME_FILE, write_capture, write_dome
+from workstation.benchmarks.foreign_captures import DOME_FILE, write_capture, write_dome
 from workstation.benchmarks.interruptions import IMPASTO, Command
 from workstation.benchmarks.watched_lamp import LIT
 from workstation.copy_writing import write_processed

@@ -7,17 +7,23 @@ its end, however it ends, writes to the file what the lamp truly is.
 from __future__ import annotations
 
 import atexit
+import signal
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from devices.simulated.light_arm import ArmMechanism
+if TYPE_CHECKING:
+    from devices.simulated.light_arm import ArmMechanism
 
 LIT, DARK = "lit", "dark"
 
 
 def main() -> None:
     """Run the command in this process."""
+    # As the command itself does before it loads a library that starts threads, which inherit it.
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
+    from devices.simulated.light_arm import ArmMechanism
+
     file = Path(sys.argv.pop(1))
     arms: list[ArmMechanism] = []
     made = ArmMechanism.__init__
