@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
+from numpy.typing import NDArray
 
 from workstation.pareto_front import pareto_front
 from workstation.quality_curve import QUALITY, CurvePoint, QualityCurve
 from workstation.report_page import Picture, figure_png
 
 _DPI = 150
+# Of a number from its point.
+_REACH_IN = 0.17
 
 
 def curve_pictures(curve: QualityCurve, *, chosen: str | None = None) -> tuple[Picture, Picture]:
@@ -46,12 +50,13 @@ def _draw(
     error: Callable[[CurvePoint], float],
     name: str,
 ) -> bytes:
-    figure = Figure(figsize=(5.2, 4.1), layout="constrained")
+    figure = Figure(figsize=(5.8, 4.1), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     colours = {name: f"C{n}" for n, name in enumerate(dict.fromkeys(p.curve for p in curve.points))}
-    for point in curve.points:
-        _mark(axes, point, error(point), colours[point.curve], ringed=point.name == chosen)
+    for number, point in enumerate(curve.points, start=1):
+        ringed = point.name == chosen
+        _mark(axes, number, point, error(point), colours[point.curve], ringed=ringed)
     front = pareto_front(curve.points, lambda point: (point.seconds, error(point)))
     axes.plot([p.seconds for p in front], [error(p) for p in front], color="0.6", lw=1, zorder=0)
     axes.set_xscale("log")
@@ -63,19 +68,39 @@ def _draw(
     axes.yaxis.set_major_formatter(lambda value, _: f"{abs(value):.1f}")
     axes.set_xlabel("processor's time, s")
     axes.set_ylabel(name)
+    # Settings that cost and give nearly the same would write over one another by their names.
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
+    figure.draw_without_rendering()
+    _number(axes, np.array([(p.seconds, error(p)) for p in curve.points]), inch=figure.dpi)
     return figure_png(figure, dpi=_DPI)
 
 
-def _mark(axes: Axes, point: CurvePoint, error: float, colour: str, *, ringed: bool) -> None:
+def _mark(
+    axes: Axes, number: int, point: CurvePoint, error: float, colour: str, *, ringed: bool
+) -> None:
     mark, size = ("*", 14) if point.default else ("o", 6)
-    axes.plot(point.seconds, error, mark, color=colour, markersize=size)
+    name = f"{number}  {point.label}"
+    axes.plot(point.seconds, error, mark, color=colour, markersize=size, label=name)
     if ringed and point.curve == QUALITY:
         axes.plot(point.seconds, error, "o", color="0.2", markersize=20, fillstyle="none")
-    axes.annotate(
-        point.label,
-        (point.seconds, error),
-        xytext=(11, 6) if point.default else (6, 5),
-        textcoords="offset points",
-        fontsize=9,
-        weight="bold" if point.curve == QUALITY else "normal",
-    )
+
+
+def _number(axes: Axes, points: NDArray[np.float64], *, inch: float) -> None:
+    """Write its number beside each point, on the side that is the farthest from all others."""
+    places = axes.transData.transform(points) / inch
+    turn = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+    around = _REACH_IN * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    taken = places
+    for number, (point, place) in enumerate(zip(points, places, strict=True), start=1):
+        free = np.linalg.norm((place + around)[:, np.newaxis] - taken, axis=2).min(axis=1)
+        offset = around[np.argmax(np.round(free, 6))]
+        taken = np.vstack([taken, place + offset])
+        axes.annotate(
+            str(number),
+            point,
+            xytext=72 * offset,
+            textcoords="offset points",
+            ha="center",
+            va="center",
+            fontsize=8,
+        )
