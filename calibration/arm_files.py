@@ -37,13 +37,16 @@ def save_light_arm(arm: LightArm, path: Path) -> None:
         },
         "covariance": arm.covariance.tolist(),
         "poses": [[pose.azimuth, pose.elevation] for pose in arm.poses],
-        # JSON knows no NaN.
-        "residual_deg": [None if np.isnan(r) else float(r) for r in arm.residual_deg],
+        "residual_deg": [_finite_or_none(r) for r in arm.residual_deg],
         "suspect": list(arm.suspect),
         "inflation": arm.inflation,
         "shading_excess": arm.shading_excess,
-        "shading_misfit": None if np.isnan(arm.shading_misfit) else arm.shading_misfit,
+        "shading_misfit": _finite_or_none(arm.shading_misfit),
         "sphere_shift_sigmas": arm.sphere_shift_sigmas.tolist(),
+        "radius_error": _finite_or_none(arm.radius_error),
+        "radius_sigma": _finite_or_none(arm.radius_sigma),
+        "matt": arm.matt,
+        "placed_by_highlights": arm.placed_by_highlights,
     }
     write_bytes(Path(path), (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
 
@@ -106,7 +109,16 @@ def _arm(content: dict[str, Any]) -> LightArm:
         # Files of before these were kept lack them.
         shading_misfit=_number_or_nan(content.get("shading_misfit")),
         sphere_shift_sigmas=np.array([_number(n) for n in content.get("sphere_shift_sigmas", ())]),
+        radius_error=_number_or_nan(content.get("radius_error")),
+        radius_sigma=_number_or_nan(content.get("radius_sigma")),
+        matt=bool(content.get("matt", True)),
+        placed_by_highlights=bool(content.get("placed_by_highlights", False)),
     )
+
+
+def _finite_or_none(value: float) -> float | None:
+    """JSON knows no NaN."""
+    return float(value) if np.isfinite(value) else None
 
 
 def _number(value: Any) -> float:

@@ -325,7 +325,13 @@ def test_spheres_that_are_named_are_looked_for_there_only(rig, session):
 
 
 def test_an_arm_is_the_same_after_writing_and_reading(arm, tmp_path):
-    unseen = replace(arm, residual_deg=np.append(arm.residual_deg[:-1], np.nan))
+    unseen = replace(
+        arm,
+        residual_deg=np.append(arm.residual_deg[:-1], np.nan),
+        radius_error=0.01,
+        matt=False,
+        placed_by_highlights=True,
+    )
     save_light_arm(unseen, tmp_path / ARM_FILE)
     read = load_light_arm(tmp_path / ARM_FILE)
     pose = arm.poses[2]
@@ -333,6 +339,8 @@ def test_an_arm_is_the_same_after_writing_and_reading(arm, tmp_path):
     np.testing.assert_array_equal(read.lamp(pose).position, arm.lamp(pose).position)
     np.testing.assert_array_equal(read.covariance, arm.covariance)
     np.testing.assert_array_equal(read.residual_deg, unseen.residual_deg)
+    assert (read.radius_error, read.matt, read.placed_by_highlights) == (0.01, False, True)
+    np.testing.assert_equal(read.radius_sigma, arm.radius_sigma)
 
 
 @pytest.mark.parametrize(
