@@ -12,7 +12,7 @@ from typing import NoReturn
 import typer
 from rich.console import Console
 
-from devices.errors import ImpastoError
+from devices.errors import DeviceError, ImpastoError
 from workstation.interruption import was_requested, watch_for_interruption
 
 EXIT_BAD_INPUT = 3
@@ -44,6 +44,10 @@ def main() -> None:
             raise KeyboardInterrupt
         sys.exit(code)
     except ImpastoError as error:
+        # What a library makes of an interruption that strikes while it is loaded may come as one of
+        # ours; of a device it says what could not be stopped.
+        if was_requested() and not isinstance(error, DeviceError):
+            _end_interrupted(messages, error)
         messages.print(f"[bold red]error:[/] {_escape(str(error))}")
         _print_notes(messages, error)
         sys.exit(error.exit_code)

@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+from devices.errors import DeviceError
+from render.errors import RenderError
 from workstation import command_line
 
 WORK = """
@@ -62,18 +64,37 @@ def test_a_closing_terminal_that_is_to_be_ignored_is_ignored():
     assert running.returncode == 0
 
 
-def test_an_import_that_an_interruption_broke_ends_as_interrupted(monkeypatch, capsys):
+def ended(monkeypatch, error, *, requested):
+    """Exit code of a command that ends with an error, after a request to stop or without one."""
+
     def broken(**named):
-        raise ImportError("numpy failed to import")
+        raise error
 
     monkeypatch.setattr(command_line, "app", broken)
     monkeypatch.setattr(command_line, "watch_for_interruption", lambda: None)
     monkeypatch.setattr("workstation.commands.register", lambda app: None)
-    monkeypatch.setattr(command_line, "was_requested", lambda: True)
-    with pytest.raises(SystemExit) as ended:
+    monkeypatch.setattr(command_line, "was_requested", lambda: requested)
+    with pytest.raises(SystemExit) as end:
         command_line.main()
-    assert ended.value.code == command_line.EXIT_INTERRUPTED
+    return end.value.code
+
+
+@pytest.mark.parametrize(
+    "error", [ImportError("numpy failed to import"), RenderError("OpenGL cannot be loaded")]
+)
+def test_an_import_that_an_interruption_broke_ends_as_interrupted(monkeypatch, capsys, error):
+    code = ended(monkeypatch, error, requested=True)
+    assert code == command_line.EXIT_INTERRUPTED
     assert "nothing half-written" in capsys.readouterr().err
-    monkeypatch.setattr(command_line, "was_requested", lambda: False)
+
+
+def test_an_import_that_is_broken_by_itself_is_told(monkeypatch, capsys):
     with pytest.raises(ImportError, match="numpy"):
-        command_line.main()
+        ended(monkeypatch, ImportError("numpy failed to import"), requested=False)
+    assert ended(monkeypatch, RenderError("no OpenGL"), requested=False) == 3
+    assert "no OpenGL" in capsys.readouterr().err
+
+
+def test_a_device_that_could_not_be_stopped_is_told_after_an_interruption_too(monkeypatch, capsys):
+    assert ended(monkeypatch, DeviceError("the lamp stays lit"), requested=True) == 4
+    assert "the lamp stays lit" in capsys.readouterr().err

@@ -361,12 +361,15 @@ def kill_recordings(
     with ThreadPoolExecutor(_AT_ONCE) as pool:
         lasting_s = float(np.mean(list(pool.map(record, range(_AT_ONCE)))))
     digest = Session.open(place / "whole-0").digest
+    early: list[float] = []
+    late: list[float] = []
 
     def once(job: tuple[int, float]) -> None:
         out = place / str(job[0])
         cut = _cut_off([*IMPASTO, *scan, str(out)], job[1], signal.SIGKILL)
         if not (cut.struck and (out / JOURNAL_FILE).is_file()):
             done.missed += 1
+            (early if cut.struck else late).append(cut.seconds)
             shutil.rmtree(out, ignore_errors=True)
             return
         done.kills += 1
@@ -382,7 +385,10 @@ def kill_recordings(
         missing = times - done.kills
         if missing == 0:
             break
-        moments = spread_moments(missing, lasting_s, random).tolist()
+        # What was missed tells better when a scan records.
+        begins_s = float(np.mean(early)) if early else 0.0
+        ends_s = max(float(np.mean(late)) if late else lasting_s, begins_s)
+        moments = (begins_s + spread_moments(missing, ends_s - begins_s, random)).tolist()
         with ThreadPoolExecutor(_AT_ONCE) as pool:
             list(pool.map(once, enumerate(moments, start=number)))
         number += missing
