@@ -51,7 +51,7 @@ _SMALL = DemoCapture(
     calibrates=False,
 )
 # Corners of a board and highlights of spheres are not found in smaller pictures.
-_CALIBRATING_WIDTH = 320
+_CALIBRATING_WIDTH = 480
 _RIG = """
 [camera]
 driver = "simulated"
