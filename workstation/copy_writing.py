@@ -1,8 +1,7 @@
 """A processed session on disk: the copy, the pictures beside it, and the record of the run.
 
-Beside ``COPY`` lie ``COPY-relief.png``, ``COPY-held-out.png`` where photographs were kept out of
-the fit, ``COPY-run.json`` with what each stage took, and the folder ``COPY-stages`` of stored
-results, which may be deleted. In the copy is nothing that differs from run to run.
+In the copy is nothing that differs from run to run. Where what lies beside it is,
+:mod:`workstation.copy_places` tells.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.atomic_files import write_bytes
+from acquisition.atomic_files import file_in_progress, write_bytes
 from calibration.srgb import encode_srgb
 from fitting.copy_files import COPY_FILE, check_destination, write_copy
 from fitting.digital_copy import DigitalCopy
@@ -26,6 +25,7 @@ from fitting.reflectance.held_out import Comparison
 from fitting.reflectance.held_out_picture import draw_held_out
 from fitting.reflectance.microfacet import microfacets_of
 from fitting.relief_picture import draw_relief
+from workstation.copy_places import held_out_picture, places_beside, relief_picture, run_file
 from workstation.json_output import write_json
 from workstation.processing import Processed
 from workstation.stage_cache import digest_of_files
@@ -36,36 +36,10 @@ HELD_OUT_FILE = "held-out.json"
 _LARGEST_SIDE_PX = 1000
 
 
-def stages_folder(copy: Path) -> Path:
-    """Where results of the stages behind a copy are kept by default."""
-    return copy.with_name(f"{copy.name}-stages")
-
-
 def copy_title(copy: Path) -> str:
     """Name of a copy's folder, or of the one above where it is called copy, as ours are."""
     place = copy.resolve()
     return place.parent.name if place.name == "copy" else place.name
-
-
-def run_file(copy: Path) -> Path:
-    """Where the record of the run that made a copy is."""
-    return copy.with_name(f"{copy.name}-run.json")
-
-
-def files_beside(copy: Path) -> list[Path]:
-    """Those of the pictures and the record beside a copy that are there."""
-    paths = (relief_picture(copy), held_out_picture(copy), run_file(copy))
-    return [path for path in paths if path.is_file()]
-
-
-def relief_picture(copy: Path) -> Path:
-    """Where the picture of a copy's relief is."""
-    return copy.with_name(f"{copy.name}-relief.png")
-
-
-def held_out_picture(copy: Path) -> Path:
-    """Where photographs that were kept out of the fit are, beside their renderings."""
-    return copy.with_name(f"{copy.name}-held-out.png")
 
 
 def check_copy_destination(out: Path, session_digest: str, *, force: bool) -> None:
@@ -95,10 +69,13 @@ def write_processed(
     CopyError
         A folder that is no copy is in the way.
     """
-    write_pictured(
-        *(done.copy, out, done.comparisons), ggx=ggx, exact_maps=exact_maps, replace=True
-    )
-    draw_relief(done.copy, relief_picture(out))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    # Where there is no room for the picture, no copy appears without it.
+    with file_in_progress(relief_picture(out)) as picture:
+        draw_relief(done.copy, picture)
+        write_pictured(
+            *(done.copy, out, done.comparisons), ggx=ggx, exact_maps=exact_maps, replace=True
+        )
 
 
 def write_pictured(
@@ -110,7 +87,11 @@ def write_pictured(
     exact_maps: bool = False,
     replace: bool = False,
 ) -> None:
-    """Write a copy with pictures of what was kept out of its fit."""
+    """Write a copy with pictures of what was kept out of its fit.
+
+    What lies beside a copy that is replaced goes with it.
+    """
+    replaced = out.exists()
     maps = copy.reflectance
     facets = microfacets_of(maps) if ggx and maps is not None else None
     beside = partial(_write_comparisons, comparisons) if comparisons else _nothing
@@ -121,6 +102,9 @@ def write_pictured(
         exact_maps=exact_maps,
         beside=beside,
     )
+    if replaced:
+        for path in places_beside(out).values():
+            path.unlink(missing_ok=True)
     if comparisons:
         draw_held_out(comparisons, held_out_picture(out))
 

@@ -12,7 +12,8 @@ from acquisition.session import Session
 from devices.simulated.rig import SimulatedRig
 from fitting.digital_copy import DigitalCopy
 from fitting.reflectance.lamp_table import LampTable
-from workstation.copy_writing import read_run, run_file, write_processed, write_run
+from workstation.copy_places import run_file
+from workstation.copy_writing import read_run, write_processed, write_run
 from workstation.demo_bounds import bounds_section, demo_records
 from workstation.demo_processing import (
     LAMPS_FILE,

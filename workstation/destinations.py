@@ -60,6 +60,7 @@ def check_destinations(
     makes: Mapping[str, Path | None] | None = None,
     fills: Mapping[str, Path | None] | None = None,
     writes: Mapping[str, Path | None] | None = None,
+    beside: Mapping[str, Path | None] | None = None,
 ) -> None:
     """Refuse outputs that would change what is read, or one another, before any work.
 
@@ -74,6 +75,8 @@ def check_destinations(
         Folders that files are added to.
     writes : mapping of str to Path or None
         Files.
+    beside : mapping of str to Path or None
+        Files that come with what is made; the folder that they lie in is made if needed.
 
     Raises
     ------
@@ -82,17 +85,20 @@ def check_destinations(
         calibration; is or lies in what another option makes; or cannot be written there: a file
         where a folder is, or the other way round, or a file without a folder to lie in.
     """
-    made, filled, written = (_named(outputs) for outputs in (makes, fills, writes))
+    made, filled, written, coming = map(_named, (makes, fills, writes, beside))
     read = [path for path in inputs if path is not None]
-    for name, path in (*made, *filled, *written):
+    for name, path in (*made, *filled, *written, *coming):
         _check_against_inputs(name, path, read)
         _check_surroundings(name, path)
     for name, path in filled:
         _check_filled(name, path)
     for name, path in written:
         _check_file(name, path)
+    for name, path in coming:
+        if path.is_dir():
+            raise DestinationError(f"{name} {path} is a folder: choose another place")
     _check_against_each_other(made, [*made, *filled, *written])
-    _check_against_each_other(written, written)
+    _check_against_each_other([*coming, *written], [*filled, *written])
 
 
 def check_replaced(path: Path, kind: Kind, *, force: bool, option: str = "--out") -> None:

@@ -9,7 +9,8 @@ from typing import Any
 
 from acquisition.session import Session
 from fitting.errors import CopyError
-from workstation.copy_writing import read_run, run_file
+from workstation.copy_places import run_file
+from workstation.copy_writing import read_run
 from workstation.stage_cache import digest_of_files
 
 # Digits of a digest that tell two apart at a glance.

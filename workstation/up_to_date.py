@@ -8,13 +8,15 @@ copy of a session, or one that was touched, is not known, and processing looks a
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from acquisition.session import MANIFEST_FILE
+from workstation.copy_places import places_beside
 from workstation.json_output import write_json
 from workstation.stage_cache import digest_of_files, digest_of_program
 
@@ -44,30 +46,26 @@ def figures_if_written(out: Path, stages: Path | None, request: str) -> dict[str
         note = json.loads((stages / _NOTE).read_text())
         known = note["request"], note["files"]
         figures: dict[str, Any] = dict(note["figures"])
-        beside = [out.parent / str(name) for name in note["beside"]]
-        written = _digest_of_written(out, beside)
+        written = _digest_of_written(out)
     except (OSError, ValueError, KeyError, TypeError):
         return None
     return figures if known == (request, written) else None
 
 
-def note_written(
-    out: Path, stages: Path | None, request: str, figures: dict[str, Any], *, beside: Sequence[Path]
-) -> None:
-    """Note that a copy was written for a request, and which files beside it."""
+def note_written(out: Path, stages: Path | None, request: str, figures: dict[str, Any]) -> None:
+    """Note that a copy was written for a request, and what is beside it.
+
+    Where there is no room for the note, the next run looks more closely.
+    """
     if stages is not None and stages.is_dir():
-        note = {
-            "request": request,
-            "files": _digest_of_written(out, beside),
-            "beside": [path.name for path in beside],
-            "figures": figures,
-        }
-        write_json(stages / _NOTE, note)
+        note = {"request": request, "files": _digest_of_written(out), "figures": figures}
+        with contextlib.suppress(OSError):
+            write_json(stages / _NOTE, note)
 
 
-def _digest_of_written(out: Path, beside: Sequence[Path]) -> str:
-    digests = [hashlib.sha256(path.read_bytes()).hexdigest() for path in beside]
-    return " ".join([digest_of_files(out), *digests])
+def _digest_of_written(out: Path) -> str:
+    beside = (_digest(path) for path in places_beside(out).values())
+    return " ".join([digest_of_files(out), *beside])
 
 
 def _digest(path: Path) -> str:

@@ -111,6 +111,10 @@ def test_a_damaged_session_takes_nothing_either(desk):
         ({"writes": {"--out": "none/f"}}, "no folder none; make it"),
         ({"fills": {"--report": "lamps.json"}}, "is a file; name a folder"),
         ({"makes": {"--out": "lamps.json/c"}}, "lamps.json is no folder"),
+        ({"writes": {"--json": "f"}, "beside": {"--out (run)": "./f"}}, r"--json .* --out \(run"),
+        ({"fills": {"--stages": "f/s"}, "beside": {"--out (run)": "f"}}, "--stages f/s"),
+        ({"beside": {"--out (picture)": "demo"}}, "demo is a folder: choose"),
+        ({"beside": {"--out (picture)": "copy/f.png"}}, "lies in .*copy, a digital copy"),
     ],
 )
 def test_outputs_that_cannot_be_written_together_are_refused(desk, outputs, message):
@@ -128,6 +132,7 @@ def test_places_beside_what_is_read_are_free(desk):
         makes={"--out": desk / "new" / "copy"},
         fills={"--stages": desk / "poses" / "1-stages", "--report": desk / "report"},
         writes={"--json": desk / "report.json", "--opencv": None},
+        beside={"--out (run)": desk / "new" / "copy-run.json"},
     )
     check_destinations(desk / "poses", makes={"--out": desk / "poses" / "rig"})
     check_destinations(desk / "half", makes={"--out": desk / "half" / "copy"})
@@ -153,6 +158,8 @@ COMMANDS = [
     "process poses/1 --out copy --json copy/f.json",
     "process poses/1 --out c --photographs poses/1 --lamps lamps.json --json lamps.json",
     "process --lp lamps.json --out c --json lamps.json",
+    "process poses/1 --out c --json c-run.json",
+    "process --lp lights-run.json --out lights",
     "report copy --out copy/copy.json",
     "report copy --session poses/1 --out poses/1/report.html",
     "report copy --out theirs",

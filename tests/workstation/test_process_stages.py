@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import errno
 import json
 import shutil
 from dataclasses import replace
@@ -15,9 +16,9 @@ from devices.simulated.rig import demo_rig
 from fitting.copy_files import read_copy
 from fitting.relief_classification import ReliefOptions
 from fitting.surface import SurfaceOptions
-from workstation import processing
+from workstation import copy_writing, processing
 from workstation.commands import process
-from workstation.copy_writing import run_file, stages_folder
+from workstation.copy_places import held_out_picture, relief_picture, run_file, stages_folder
 from workstation.demonstration import record_simulated_scan
 from workstation.processing import (
     DECODING,
@@ -168,6 +169,29 @@ def test_a_copy_of_another_session_is_not_replaced(session, tmp_path):
     assert not stages_folder(out).exists()
     assert command(session, "--out", out, "--afresh", "--force").exit_code == 0
     assert read_copy(out).provenance["session"] != "another"
+
+
+def test_pictures_beside_a_copy_are_its_own_wherever_it_is_moved(session, tmp_path):
+    out, moved = tmp_path / "copy", tmp_path / "moved"
+    assert command(session, "--out", out).exit_code == 0
+    held_out_picture(out).write_bytes(b"of a copy with photographs that was here")
+    assert command(session, "--out", out).exit_code == 0
+    assert not held_out_picture(out).exists()
+    out.rename(moved)
+    stages_folder(out).rename(stages_folder(moved))
+    assert "is up to date" not in command(session, "--out", moved).output
+    assert relief_picture(moved).read_bytes() == relief_picture(out).read_bytes()
+    assert run_file(moved).is_file()
+
+
+def test_no_copy_appears_whose_picture_has_no_room(session, tmp_path, monkeypatch):
+    def full(*arguments):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(copy_writing, "draw_relief", full)
+    done = command(session, "--out", tmp_path / "new" / "copy", "--afresh")
+    assert isinstance(done.exception, OSError)
+    assert list((tmp_path / "new").iterdir()) == []
 
 
 def test_time_left_falls_to_nothing_and_follows_the_pace(monkeypatch):

@@ -17,7 +17,8 @@ from acquisition.session import Session
 from acquisition.session_writer import SessionWriter
 from fitting.copy_files import write_copy
 from fitting.errors import CopyError
-from workstation.copy_writing import HELD_OUT_FILE, HELD_OUT_FOLDER, run_file, write_run
+from workstation.copy_places import run_file
+from workstation.copy_writing import HELD_OUT_FILE, HELD_OUT_FOLDER, write_run
 from workstation.report_reflectance import held_out_section
 from workstation.report_sources import calibration_behind, find_sources
 from workstation.stage_cache import digest_of_files

@@ -103,6 +103,7 @@ def process(
 
         impasto process --lp dome/lights.lp --out copy/
     """
+    from workstation.copy_places import places_beside, stages_folder
     from workstation.destinations import check_destinations
     from workstation.stage_cache import sole_use
 
@@ -118,12 +119,13 @@ def process(
     choices = _Choices(quality, seed, delta0, cell, pitch, mosaic, keep_normals, ggx, exact_maps)
     if out.name in ("", ".."):
         out = out.resolve()
-    place = stages or out.with_name(f"{out.name}-stages")
+    place = stages or stages_folder(out)
     check_destinations(
         *(session, calibration, photographs, lamps, lp),
         makes={"--out": out},
         fills={} if lp is not None else {"--stages": place},
         writes={"--json": json},
+        beside={f"--out ({what})": path for what, path in places_beside(out).items()},
     )
     if lp is not None:
         options = _options(choices)
@@ -220,12 +222,7 @@ def _process_scan(
 ) -> dict[str, Any]:
     from acquisition.session import Session
     from acquisition.session_mosaic import mosaic_of
-    from workstation.copy_writing import (
-        check_copy_destination,
-        files_beside,
-        write_processed,
-        write_run,
-    )
+    from workstation.copy_writing import check_copy_destination, write_processed, write_run
     from workstation.expected_time import expected_seconds
     from workstation.interruption import too_late_to_stop
     from workstation.processing import add_photographs, process_session
@@ -266,7 +263,7 @@ def _process_scan(
         write_processed(done, out, ggx=choices.ggx, exact_maps=choices.exact_maps)
         write_run(done, out, expectation)
         note_times(kept, str(quality), stages.runs)
-        note_written(out, kept, request, figures, beside=files_beside(out))
+        note_written(out, kept, request, figures)
     for warning in done.warnings:
         typer.echo(f"warning: {warning}", err=True)
     _say_heights(figures, out, current=False)
