@@ -94,7 +94,7 @@ class DenseProblem:
 
     def with_priors_of(self, state: DenseState, covariance: NDArray[np.float64]) -> DenseProblem:
         """With the variances that the unknowns show, and what their priors hide."""
-        relief, place = blocks_of(state)[2:]
+        _, poses, relief, place = blocks_of(state)
         rough = self.grid.roughness()
         hidden = rough.multiply(rough @ covariance[relief, relief]).sum() / rough.shape[0]
         own = float(np.mean((rough @ state.relief) ** 2) + hidden)
@@ -102,8 +102,13 @@ class DenseProblem:
         flat = state.displacement.ravel()
         flat = flat - sheared @ (sheared.T @ flat)
         shown = np.mean(flat**2) + np.mean(np.diag(covariance)[place])
+        unsure = np.diag(covariance)[poses].reshape(len(state.poses), 12)[:, 6:]
+        moved = (state.drift**2 + unsure).reshape(-1, 2, 3).mean(axis=(0, 2))
         return replace(
-            self, roughness_mm=max(np.sqrt(own), 1e-5), displacement_mm=float(np.sqrt(shown))
+            self,
+            roughness_mm=max(np.sqrt(own), 1e-5),
+            displacement_mm=float(np.sqrt(shown)),
+            drift=np.repeat(np.maximum(np.sqrt(moved), _FIRST_DRIFT), 3),
         )
 
 

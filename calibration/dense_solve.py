@@ -54,6 +54,12 @@ _REACHES = (60.0, 60.0, 20.0, 10.0, 5.0)
 _STEPS = 8
 _SETTLED = 1e-3
 _HELD = 1e5
+# Fewer corners of a view do not tell its place on the board.
+_LEAST_CORNERS = 4
+_UNDETERMINED = (
+    "the surface of the board does not determine the rig; record more poses of it, tilted to all "
+    "four sides"
+)
 
 
 def solve_densely(
@@ -100,27 +106,41 @@ def solve_densely(
         np.zeros((board.rows, board.columns, 2)),
     )
     problem = DenseProblem(board, grid, tuple(corners), tuple(samples))
+    _check_seen(problem)
     for reach in _REACHES:
         weights = _weights(problem, state, reach)
         for _ in range(_STEPS):
             normal, right = _normal_equations(problem, state, weights)
             try:
                 factor = cho_factor(normal)
-            except np.linalg.LinAlgError as error:
-                raise CalibrationError(
-                    "the views do not determine the rig; record the board at more tilts"
-                ) from error
-            step = cho_solve(factor, right)
-            state = state.moved(step)
-            if not np.isfinite(state.rig.parameters).all():
-                raise CalibrationError(
-                    "the surface of the board does not lead to a rig; record more poses of it"
-                )
+                step = cho_solve(factor, right)
+                state = state.moved(step)
+            # A step that leads to no lens is one of views that determine none.
+            except (np.linalg.LinAlgError, CalibrationError) as error:
+                raise CalibrationError(_UNDETERMINED) from error
+            if not (np.isfinite(state.rig.parameters).all() and np.isfinite(state.poses).all()):
+                raise CalibrationError(_UNDETERMINED)
             if float(step @ right) < _SETTLED * len(step):
                 break
         covariance = cho_solve(factor, np.eye(len(normal)))
         problem = problem.with_priors_of(state, covariance)
     return _solved(problem, state, covariance)
+
+
+def _check_seen(problem: DenseProblem) -> None:
+    for number, (corners, samples) in enumerate(
+        zip(problem.corners, problem.samples, strict=True), start=1
+    ):
+        seen = int(np.isfinite(corners).all(axis=-1).sum())
+        if seen < _LEAST_CORNERS:
+            raise CalibrationError(
+                f"view {number} has {seen} corners of the board, and {_LEAST_CORNERS} are needed"
+            )
+        if not (np.isfinite(samples.variance) & (samples.variance > 0)).all():
+            raise CalibrationError(
+                f"view {number} has blocks of the surface without a positive variance; decode it "
+                "again"
+            )
 
 
 @dataclass(frozen=True)
@@ -204,6 +224,8 @@ def _add(
     rig, poses, relief, place = blocks
     known = np.isfinite(equations.residual).all(axis=-1) & (weight > 0).all(axis=-1)
     count = int(known.sum())
+    if count == 0:  # the rig has left it, or the board turned its back
+        raise CalibrationError(_UNDETERMINED)
     root = np.sqrt(weight[known])[..., None]
     residual = (equations.residual[known][..., None] * root).ravel()
     dense = np.concatenate([equations.rig, equations.view], axis=-1)[known] * root

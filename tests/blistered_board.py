@@ -57,14 +57,18 @@ def aligned_poses():
 
 
 def simulated(rng, *, drift):
-    """Corners and samples of a sheared, blistered board; the projector turned at one pose."""
+    """Corners and samples of a sheared, blistered board; the projector turned at one pose.
+
+    Of several drifts each pose has its own.
+    """
+    drifts = drift if np.ndim(drift) == 2 else np.outer(np.arange(len(TILTS)) == 1, drift)
     corners, samples = [], []
     x, y = np.meshgrid(np.linspace(-6, 76, 30), np.linspace(-6, 56, 23))
     places = np.column_stack([x.ravel(), y.ravel()])
     surface = np.column_stack([places, relief(places)])
     printed = printed_corners().reshape(-1, 3)
     for number, pose in enumerate(poses()):
-        moved = compose(drift * (number == 1), RIG.rt_proj_cam)
+        moved = compose(drifts[number], RIG.rt_proj_cam)
         seen = RIG.camera.project(transform(pose, printed))
         corners.append((seen + rng.normal(0, NOISE_PX, seen.shape)).reshape(6, 8, 2))
         here = transform(pose, surface)

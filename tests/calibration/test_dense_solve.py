@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from blistered_board import (
@@ -77,6 +79,23 @@ def test_motion_is_told_for_each_pose_with_its_standard_error(solved):
     assert abs(motion.turn_rad[1] - 0.75 * np.linalg.norm(TURN)) < 3 * motion.turn_sigma_rad[1]
 
 
+def test_error_bars_hold_of_a_projector_that_moved_ten_times_as_far_as_is_usual():
+    rng = np.random.default_rng(3)
+    drifts = rng.normal(0, [1e-3] * 3 + [0.3] * 3, (4, 6))
+    corners, samples = simulated(rng, drift=drifts)
+    solved = solve_densely(*started(rng), BOARD, corners, samples)
+    error = (solved.rig.parameters - RIG.parameters)[:16]
+    covariance = solved.rig.covariance[:16, :16]
+    # The mean over sixteen squares; a hundredth of chance is beyond 2.
+    assert error @ np.linalg.solve(covariance, error) / 16 < 2
+    motion, apart = solved.motion(), drifts - drifts.mean(axis=0)
+    for number, pose in enumerate(poses()):
+        lit = transform(compose(RIG.rt_proj_cam, pose), BOARD.points)
+        shift = RIG.projector.project(transform(apart[number], lit)) - RIG.projector.project(lit)
+        true = np.sqrt(np.mean(np.sum(shift**2, axis=-1)))
+        assert abs(motion.moved_px[number] - true) < 4 * motion.moved_sigma_px[number]
+
+
 def test_projection_errs_as_much_as_its_covariance_says(solved):
     white = []
     for number, (lens, true) in enumerate(
@@ -102,6 +121,38 @@ def test_two_poses_are_refused(solved):
     corners, samples = simulated(np.random.default_rng(0), drift=0 * TURN)
     with pytest.raises(CalibrationError, match="three of each are needed"):
         solve_densely(RIG, poses()[:2], BOARD, corners[:2], samples[:2])
+
+
+def _without_corners(corners, samples):
+    return [np.full_like(corners[0], np.nan), *corners[1:]], samples
+
+
+def _with_a_variance_of_nothing(corners, samples):
+    variance = samples[0].variance.copy()
+    variance[3] = np.nan
+    return corners, [replace(samples[0], variance=variance), *samples[1:]]
+
+
+def _all_alike(corners, samples):
+    return corners[:1] * 4, samples[:1] * 4
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "message"),
+    [
+        (_without_corners, "view 1 has 0 corners"),
+        (_with_a_variance_of_nothing, "view 1 has blocks of the surface without"),
+        (_all_alike, "tilted to all four sides"),
+    ],
+)
+def test_views_that_determine_nothing_are_refused(spoilt, message):
+    rng = np.random.default_rng(0)
+    corners, samples = spoilt(*simulated(rng, drift=0 * TURN))
+    rig, start = started(rng)
+    if spoilt is _all_alike:
+        start = start[[0, 0, 0, 0]]
+    with pytest.raises(CalibrationError, match=message):
+        solve_densely(rig, start, BOARD, corners, samples)
 
 
 def test_slopes_of_a_surface_are_the_derivatives_of_its_height():
