@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import zlib
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acquisition.atomic_files import file_in_progress
 from calibration.boards import Chessboard
@@ -67,18 +72,50 @@ def solve_saved_surface(folder: Path) -> tuple[DenseSolution, tuple[str, ...]]:
     try:
         with np.load(path, allow_pickle=False) as stored:
             held = {name: stored[name] for name in stored.files}
-        cuts = np.cumsum(held["blocks"])[:-1]
-        fields = ("pixels", "coordinates", "variance", "tile")
-        parts = zip(*(np.split(held[name], cuts) for name in fields), strict=True)
-        columns, rows = map(int, held["grid"])
-        square, sigma = map(float, held["square_mm"])
-        board = Chessboard(columns=columns, rows=rows, square_mm=square, square_sigma_mm=sigma)
-        corners, poses = list(held["corners"]), held["rt_cam_board"]
-        names = tuple(map(str, held["names"]))
-    except (OSError, ValueError, KeyError, EOFError) as error:
+        names, board, corners, poses, samples = _held(held)
+    # A zip file that is cut off or damaged raises errors of its own.
+    except (OSError, ValueError, KeyError, EOFError, TypeError, BadZipFile, zlib.error) as error:
         raise CalibrationError(
             f"{path}: no surface of a board to solve again from ({error}); calibrate with "
             "--board-shape"
         ) from error
-    samples = [SurfaceSamples(*part) for part in parts]
     return solve_densely(RigGeometry.load(folder), poses, board, corners, samples), names
+
+
+def _held(
+    held: Mapping[str, NDArray[Any]],
+) -> tuple[
+    tuple[str, ...],
+    Chessboard,
+    list[NDArray[np.float64]],
+    NDArray[np.float64],
+    list[SurfaceSamples],
+]:
+    """Names, board, corners, poses and samples that arrays stand for.
+
+    Raises
+    ------
+    ValueError, KeyError, TypeError
+        They do not fit together.
+    """
+    names, poses, blocks = tuple(map(str, held["names"])), held["rt_cam_board"], held["blocks"]
+    columns, rows = map(int, held["grid"])
+    square, sigma = map(float, held["square_mm"])
+    board = Chessboard(columns=columns, rows=rows, square_mm=square, square_sigma_mm=sigma)
+    count, total = len(names), int(blocks.sum())
+    shapes = {
+        "rt_cam_board": (count, 6),
+        "corners": (count, rows, columns, 2),
+        "blocks": (count,),
+        "pixels": (total, 2),
+        "coordinates": (total, 2),
+        "variance": (total, 2),
+        "tile": (total,),
+    }
+    for name, shape in shapes.items():
+        if held[name].shape != shape:
+            raise ValueError(f"{name} is of {held[name].shape}, not {shape}")
+    cuts = np.cumsum(blocks)[:-1]
+    fields = ("pixels", "coordinates", "variance", "tile")
+    parts = zip(*(np.split(held[name], cuts) for name in fields), strict=True)
+    return names, board, list(held["corners"]), poses, [SurfaceSamples(*part) for part in parts]

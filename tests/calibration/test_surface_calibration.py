@@ -15,7 +15,7 @@ from calibration.gate_limits import Gate
 from calibration.lens import compose, transform
 from calibration.procam import ProcamOptions
 from calibration.rig_geometry import RigGeometry
-from calibration.surface_files import SURFACE_FILE, solve_saved_surface
+from calibration.surface_files import SURFACE_FILE, save_surface, solve_saved_surface
 from workstation import calibration_report, calibration_run
 from workstation.board_poses import BoardPoses
 from workstation.calibration_extras import Extras
@@ -99,9 +99,28 @@ def test_what_was_saved_is_solved_again(done, tmp_path):
     loaded = RigGeometry.load(tmp_path)
     sigma = np.sqrt(np.diag(loaded.covariance))
     assert (np.abs(again.rig.parameters - loaded.parameters) < 0.2 * sigma).all()
-    (tmp_path / SURFACE_FILE).write_bytes(b"torn")
+
+
+def test_a_surface_file_that_is_damaged_or_of_another_board_is_refused(done, tmp_path):
+    path = tmp_path / SURFACE_FILE
+    save_surface(done.calibration.surface, done.calibration.solution.names, path)
+    whole = path.read_bytes()
+    with np.load(path) as stored:
+        arrays = dict(stored)
+    for cut in (0, 4, len(whole) // 2, len(whole) - 10):
+        path.write_bytes(whole[:cut])
+        with pytest.raises(CalibrationError, match="calibrate with --board-shape"):
+            solve_saved_surface(tmp_path)
+    bent = bytearray(whole)
+    bent[len(whole) // 2] ^= 0xFF
+    path.write_bytes(bent)
     with pytest.raises(CalibrationError, match="calibrate with --board-shape"):
         solve_saved_surface(tmp_path)
+    changes = {"grid": np.array(8), "names": np.array(["one"]), "variance": arrays["tile"]}
+    for name, other in changes.items():
+        np.savez(path, **(arrays | {name: other}))
+        with pytest.raises(CalibrationError, match="calibrate with --board-shape"):
+            solve_saved_surface(tmp_path)
 
 
 class Lights:
