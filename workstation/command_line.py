@@ -14,6 +14,7 @@ from rich.console import Console
 
 from devices.errors import DeviceError, ImpastoError
 from workstation.interruption import was_requested, watch_for_interruption
+from workstation.standard_streams import outlive_readers
 
 EXIT_BAD_INPUT = 3
 EXIT_INTERRUPTED = 130
@@ -36,6 +37,7 @@ def main() -> None:
 
     commands.register(app)
     watch_for_interruption()
+    outlive_readers()
     messages = Console(stderr=True, highlight=False, soft_wrap=True)
     try:
         # Typer hands some outcomes, interruption among them, back as an exit code.

@@ -12,6 +12,7 @@ from calibration.lens import rotation
 from calibration.opencv_files import write_matrices
 from calibration.rig_geometry import RigGeometry
 from workstation.commands.import_capture import import_capture
+from workstation.destinations import DestinationError
 
 DESCRIPTION = """
 name = "test"
@@ -75,6 +76,16 @@ def test_the_session_keeps_the_calibration_in_both_forms(capture, rig_geometry):
     assert (session.calibration_folder / "c.xml").read_bytes() == original
     figures = json.loads((capture / "figures.json").read_text())
     assert figures == {"frames": 3, "digest": session.digest}
+
+
+@pytest.mark.parametrize("name", ["2.png", "c.xml"])
+def test_figures_never_replace_what_is_imported(capture, name):
+    before = (capture / "files" / name).read_bytes()
+    with pytest.raises(DestinationError, match="is what is read from"):
+        bring_in(capture, json=capture / "files" / name)
+    assert (capture / "files" / name).read_bytes() == before
+    assert not (capture / "s").exists()
+    bring_in(capture, json=capture / "files" / "figures.json")
 
 
 def test_importing_twice_gives_the_same_session(capture):

@@ -18,6 +18,7 @@ from acquisition.session_writer import SessionWriter
 from devices.bayer import BayerPattern
 from fitting.copy_files import read_copy
 from workstation.commands import process
+from workstation.destinations import DestinationError
 
 ALBEDO = np.array([0.25, 0.5, 0.75])
 
@@ -62,6 +63,14 @@ def test_pictures_with_light_directions_become_a_copy(dome, tmp_path):
     with OpenEXR.File(str(out / "ggx.exr"), separate_channels=True) as file:
         albedo = np.array(file.channels()["albedo.G"].pixels)
     assert np.median(albedo[4:20, 3:13]) == pytest.approx(0.5, rel=0.02)
+
+
+def test_figures_never_replace_a_picture_that_is_read(dome, tmp_path):
+    picture = dome.with_name("07.png")
+    before = picture.read_bytes()
+    result = run("--lp", dome, "--out", tmp_path / "copy", "--json", picture)
+    assert isinstance(result.exception, DestinationError)
+    assert picture.read_bytes() == before
 
 
 @pytest.mark.parametrize(

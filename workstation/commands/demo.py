@@ -64,6 +64,7 @@ def demo(
         figures = run_demo(folder, chosen, seed=seed, begin=steps.begin, done=steps.done)
         write_json(folder / DEMO_FILE, {"format": DEMO_FORMAT, "size": size, "seed": seed})
         too_late_to_stop()
+    write_json(json, figures)
     truth, held = figures["truth"], figures["reflectance"]["held_out"]
     typer.echo(
         f"height error {truth['height_rms_mm'] * 1000:.1f} µm RMS, predicted "
@@ -74,4 +75,3 @@ def demo(
         f"{clock_text(figures['total_seconds'])}, {figures['peak_mb']:.0f} MB"
     )
     typer.echo(f"open {out / 'index.html'}")
-    write_json(json, figures)

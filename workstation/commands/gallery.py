@@ -91,5 +91,5 @@ def gallery(
             figures.append({"frame": file, "seconds": seconds})
             steps.advance()
         too_late_to_stop()
-    typer.echo(str(out))
     write_json(json, {"frames": figures, "video": film.path.name if film else None})
+    typer.echo(str(out))

@@ -54,6 +54,7 @@ def import_capture(
             camera=description.camera,
             projector=description.projector,
         )
+    check_destinations(*found.files.values(), original, writes={"--json": json})
     if out.exists():
         raise SessionError(f"{out} exists already; choose another place, or remove it first")
     with (
@@ -72,5 +73,5 @@ def import_capture(
         )
         too_late_to_stop()
     session = Session.open(out)
-    typer.echo(f"{out}: {len(session.plan.frames)} frames")
     write_json(json, {"frames": len(session.plan.frames), "digest": session.digest})
+    typer.echo(f"{out}: {len(session.plan.frames)} frames")

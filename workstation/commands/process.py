@@ -14,6 +14,7 @@ from workstation.json_output import JsonOption, write_json
 
 if TYPE_CHECKING:
     from workstation.processing import ProcessingOptions
+    from workstation.stage_cache import StageRun
 
 
 class QualityChoice(StrEnum):
@@ -128,21 +129,15 @@ def process(
         beside={f"--out ({what})": path for what, path in places_beside(out).items()},
     )
     if lp is not None:
-        options = _options(choices)
-        figures = _process_pictures(
-            *(lp, out, pitch or 1.0, linear, options),
-            ggx=ggx,
-            exact_maps=exact_maps,
-            force=force,
-        )
-    else:
-        assert session is not None  # by the check above
-        inputs = _Inputs(session, calibration, photographs, lamps)
-        kept = None if afresh else place
-        current = _up_to_date(inputs, out, choices, kept)
-        with sole_use(place):
-            figures = current or _process_scan(inputs, out, choices, kept, force=force)
-    write_json(json, figures)
+        _process_pictures(lp, out, pitch or 1.0, linear, choices, json, force=force)
+        return
+    assert session is not None  # by the check above
+    inputs = _Inputs(session, calibration, photographs, lamps)
+    kept = None if afresh else place
+    current = _is_up_to_date(inputs, out, choices, kept, json)
+    with sole_use(place):
+        if not current:
+            _process_scan(inputs, out, choices, kept, json, force=force)
 
 
 @dataclass(frozen=True)
@@ -197,29 +192,36 @@ def _request(inputs: _Inputs, choices: _Choices) -> str:
     return digest_of_request(vars(inputs), vars(choices))
 
 
-def _up_to_date(
-    inputs: _Inputs, out: Path, choices: _Choices, kept: Path | None
-) -> dict[str, Any] | None:
-    """Figures of a copy that is there already as it would be made; None if it is not."""
+def _is_up_to_date(
+    inputs: _Inputs, out: Path, choices: _Choices, kept: Path | None, json: Path | None
+) -> bool:
+    """Whether a copy is there already as it would be made; says and writes its figures."""
     from workstation.up_to_date import figures_if_written
 
     figures = figures_if_written(out, kept, _request(inputs, choices))
     if figures is None:
-        return None
+        return False
     saved = sum(run["seconds"] + run["saved_s"] for run in figures["stages"])
     figures["stages"] = [
         run | {"skipped": True, "seconds": 0.0, "saved_s": run["seconds"] + run["saved_s"]}
         for run in figures["stages"]
     ]
+    write_json(json, figures)
     _say_heights(figures, out, current=True)
     _say(figures)
     typer.echo(f"no stage had to run, {saved:.1f} s spared")
-    return figures
+    return True
 
 
 def _process_scan(
-    inputs: _Inputs, out: Path, choices: _Choices, kept: Path | None, *, force: bool
-) -> dict[str, Any]:
+    inputs: _Inputs,
+    out: Path,
+    choices: _Choices,
+    kept: Path | None,
+    json: Path | None,
+    *,
+    force: bool,
+) -> None:
     from acquisition.session import Session
     from acquisition.session_mosaic import mosaic_of
     from workstation.copy_writing import check_copy_destination, write_processed, write_run
@@ -264,15 +266,21 @@ def _process_scan(
         write_run(done, out, expectation)
         note_times(kept, str(quality), stages.runs)
         note_written(out, kept, request, figures)
+        write_json(json, figures)
     for warning in done.warnings:
         typer.echo(f"warning: {warning}", err=True)
     _say_heights(figures, out, current=False)
     _say(figures)
-    took = sum(run.seconds for run in stages.runs)
-    saved = sum(run.saved_s for run in stages.runs)
+    _say_times(stages.runs)
+
+
+def _say_times(runs: list[StageRun]) -> None:
+    from workstation.stage_progress import clock_text
+
+    took = sum(run.seconds for run in runs)
+    saved = sum(run.saved_s for run in runs)
     spared = f", and {clock_text(saved)} spared" if saved else ""
     typer.echo(f"{clock_text(took)} taken{spared}")
-    return figures
 
 
 def _say_heights(figures: dict[str, Any], out: Path, *, current: bool) -> None:
@@ -293,19 +301,23 @@ def _process_pictures(
     out: Path,
     pitch_mm: float,
     linear: bool,
-    options: ProcessingOptions,
+    choices: _Choices,
+    json: Path | None,
     *,
-    ggx: bool,
-    exact_maps: bool,
     force: bool,
-) -> dict[str, Any]:
+) -> None:
+    from calibration.light_directions import read_lp
     from fitting.copy_files import check_destination
     from workstation.copy_writing import write_pictured
+    from workstation.destinations import check_destinations
     from workstation.interruption import too_late_to_stop
     from workstation.light_only_processing import process_light_only
     from workstation.progress import progress
 
     check_destination(out, replace=force)
+    options = _options(choices).reflectance
+    pictures = read_lp(lp, pictures=lp.parent).pictures
+    check_destinations(*(lp.parent / name for name in pictures), writes={"--json": json})
 
     with progress("processing", total=4) as steps:
 
@@ -314,15 +326,20 @@ def _process_pictures(
             steps.begin(stage)
 
         copy, comparisons, figures = process_light_only(
-            lp, pitch_mm=pitch_mm, linear=linear, options=options.reflectance, begin=begin
+            lp, pitch_mm=pitch_mm, linear=linear, options=options, begin=begin
         )
         begin("writing the copy")
         too_late_to_stop()
-        write_pictured(*(copy, out, comparisons), ggx=ggx, exact_maps=exact_maps, replace=force)
+        write_pictured(
+            *(copy, out, comparisons),
+            ggx=choices.ggx,
+            exact_maps=choices.exact_maps,
+            replace=force,
+        )
+        write_json(json, figures)
     rows, cols = figures["shape"]
     typer.echo(f"{out}: {cols} × {rows} texels under {len(copy.provenance['pictures'])} lights")
     _say(figures)
-    return figures
 
 
 def _say(figures: dict[str, Any]) -> None:

@@ -72,13 +72,13 @@ def replay(
         too_late_to_stop()
     digest = Session.open(out).digest
     identical = digest == source.digest
-    typer.echo(
-        f"{out}: {len(source.recorded)} frames, "
-        + ("identical to the recording" if identical else "the same samples in other files")
-    )
     write_json(
         json,
         {"frames": len(source.recorded), "digest": digest, "identical": identical},
+    )
+    typer.echo(
+        f"{out}: {len(source.recorded)} frames, "
+        + ("identical to the recording" if identical else "the same samples in other files")
     )
 
 

@@ -52,8 +52,8 @@ def resume(
         return
     left = len(so_far.plan.frames) - len(so_far.recorded) - len(so_far.skipped)
     if dry_run:
-        typer.echo(f"{left} of {len(so_far.plan.frames)} frames are missing")
         write_json(json, {"frames": len(so_far.plan.frames), "missing": left})
+        typer.echo(f"{left} of {len(so_far.plan.frames)} frames are missing")
         return
     described = rig or session / RIG_FILE
     if not described.is_file():
