@@ -17,7 +17,7 @@ from calibration.drift import Drift
 from calibration.gate_limits import Gate, GateLimits
 from calibration.procam import LENS_NAMES, ProcamCalibration
 from calibration.recording_gates import coverage_verdict, tilt_verdict, views_verdict
-from calibration.surface_gates import motion_verdict, surface_criterion
+from calibration.surface_gates import motion_verdict, surface_criterion, surface_remedy
 from calibration.verdicts import Criterion, GateReport, Untested, Verdict
 
 # Standard error of a known length, relative, beyond which it tells nothing of the squares.
@@ -98,14 +98,24 @@ def check_calibration(
 
 
 def _residuals(calibration: ProcamCalibration, limits: GateLimits) -> Verdict:
-    solution = calibration.solution
-    left_out = float(solution.outliers.sum() / max(1, solution.inliers.sum()))
+    solution, surface = calibration.solution, calibration.surface
+    # By the surface, corners of the projector take no part, and none is left out.
+    lenses = slice(None if surface is None else 1)
+    out, kept = (int(of[:, lenses].sum()) for of in (solution.outliers, solution.inliers))
+    left_out = out / max(1, out + kept)
     rms = solution.rms_per_point_px
+    criteria = [
+        Criterion("RMS per point, px", float(rms), limits.residual_px),
+        Criterion("share of corners left out", left_out, limits.outlier_share),
+    ]
+    blocks = None if surface is None else surface_criterion(surface, limits)
     if left_out > limits.outlier_share:
         remedy = (
             f"{left_out:.0%} of the corners were left out, the worst of them "
             f"{calibration.rejected_corners[0]}; check focus and light of these views"
         )
+    elif surface is not None and blocks is not None and criteria[0].passed and not blocks.passed:
+        remedy = surface_remedy(surface, solution.names)
     else:
         per_view = np.sqrt(np.nanmean(np.sum(solution.residuals_px**2, axis=-1), axis=(1, 2, 3)))
         remedy = (
@@ -113,13 +123,7 @@ def _residuals(calibration: ProcamCalibration, limits: GateLimits) -> Verdict:
             f"{solution.names[int(np.argmax(per_view))]}; record it again, or choose a richer lens "
             "model"
         )
-    criteria = [
-        Criterion("RMS per point, px", float(rms), limits.residual_px),
-        Criterion("share of corners left out", left_out, limits.outlier_share),
-    ]
-    if calibration.surface is not None:
-        criteria.append(surface_criterion(calibration.surface, limits))
-    return Verdict(Gate.RESIDUALS, tuple(criteria), remedy)
+    return Verdict(Gate.RESIDUALS, (*criteria, *(() if blocks is None else (blocks,))), remedy)
 
 
 def _warp(calibration: ProcamCalibration, limits: GateLimits) -> Verdict:

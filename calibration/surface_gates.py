@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calibration.dense_solution import DenseSolution
 from calibration.gate_limits import Gate, GateLimits
@@ -14,8 +15,24 @@ _REFUSED_MOTION = 10.0
 
 def surface_criterion(surface: DenseSolution, limits: GateLimits) -> Criterion:
     """What blocks of the board's surface are off in the projector, of the worst pose."""
-    worst = float(np.linalg.norm(surface.sample_rms_px, axis=1).max())
+    worst = float(_off_px(surface).max())
     return Criterion("RMS of the surface's blocks, worst pose, px", worst, limits.residual_px)
+
+
+def surface_remedy(surface: DenseSolution, names: tuple[str, ...]) -> str:
+    """What to do where :func:`surface_criterion` does not hold."""
+    off = _off_px(surface)
+    # A figure that is not known is the worst, as for the criterion.
+    worst = int(np.argmax(off))
+    return (
+        f"the white of the board is {off[worst]:.2f} px off the surface that all poses share, most "
+        f"of all in {names[worst]}: its fringes were decoded wrongly, or the board bent or moved "
+        "while it was recorded; record it again, on a firm support"
+    )
+
+
+def _off_px(surface: DenseSolution) -> NDArray[np.float64]:
+    return np.asarray(np.linalg.norm(surface.sample_rms_px, axis=1))
 
 
 def motion_verdict(surface: DenseSolution, names: tuple[str, ...], limits: GateLimits) -> Verdict:

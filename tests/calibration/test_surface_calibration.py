@@ -12,8 +12,9 @@ from acquisition.plan import Imager
 from calibration.board_views import BoardView
 from calibration.errors import CalibrationError, CalibrationRefusedError
 from calibration.gate_limits import Gate
+from calibration.gates import check_calibration
 from calibration.lens import compose, transform
-from calibration.procam import ProcamOptions
+from calibration.procam import ProcamOptions, rejected_corners
 from calibration.rig_geometry import RigGeometry
 from calibration.surface_files import SURFACE_FILE, save_surface, solve_saved_surface
 from workstation import calibration_report, calibration_run
@@ -73,6 +74,28 @@ def test_a_projector_that_moved_is_flagged_by_the_pose_and_the_board_by_its_reli
     names = [one.name for one in verdicts[Gate.RESIDUALS].criteria]
     assert "RMS of the surface's blocks, worst pose, px" in names
     assert verdicts[Gate.RESIDUALS].passed
+
+
+def test_blocks_that_are_off_are_what_is_said_to_be_off(done):
+    dense = done.calibration.surface
+    rms = dense.sample_rms_px.copy()
+    rms[2] = 0.8
+    bad = replace(done.calibration, surface=replace(dense, sample_rms_px=rms))
+    verdict = next(v for v in check_calibration(bad).failures if v.gate is Gate.RESIDUALS)
+    assert "the white of the board is 1.13 px off" in verdict.remedy
+    assert "most of all in pose 3" in verdict.remedy
+
+
+def test_corners_left_out_are_a_share_of_those_that_took_part(done):
+    # By the surface the projector's corners take no part: of the camera's 6 % are left out.
+    solution = done.calibration.solution
+    outliers = np.zeros_like(solution.outliers)
+    outliers[:, 0].flat[:12] = True
+    solution = replace(solution, outliers=outliers)
+    bad = replace(done.calibration, solution=solution, rejected_corners=rejected_corners(solution))
+    verdict = next(v for v in check_calibration(bad).failures if v.gate is Gate.RESIDUALS)
+    assert verdict.refuses
+    assert "6% of the corners were left out" in verdict.remedy
 
 
 def test_figures_lines_and_page_say_what_the_surface_showed(done, tmp_path, monkeypatch):
