@@ -18,6 +18,8 @@ from workstation.standard_streams import outlive_readers
 
 EXIT_BAD_INPUT = 3
 EXIT_INTERRUPTED = 130
+# Of numba's message where the program was installed by somebody else, and there is no home.
+_NO_PLACE_FOR_KERNELS = "no locator available"
 
 app = typer.Typer(
     name="impasto",
@@ -67,6 +69,13 @@ def main() -> None:
             sys.exit(error.exit_code)
         if was_requested():
             _end_interrupted(messages, error)
+        if isinstance(error, RuntimeError) and _NO_PLACE_FOR_KERNELS in str(error):
+            messages.print(
+                "[bold red]error:[/] compiled code can be kept neither beside the program nor in "
+                "the home folder: name a folder for it that can be written to, by "
+                "NUMBA_CACHE_DIR=DIR before the command"
+            )
+            sys.exit(EXIT_BAD_INPUT)
         raise
 
 

@@ -16,6 +16,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, Field, FiniteFloat
 
 from acquisition.atomic_files import file_in_progress, write_bytes
 from calibration.srgb import encode_srgb
@@ -28,6 +29,7 @@ from fitting.relief_picture import draw_relief
 from workstation.copy_places import held_out_picture, places_beside, relief_picture, run_file
 from workstation.json_output import write_json
 from workstation.processing import Processed
+from workstation.quality import Quality
 from workstation.stage_cache import digest_of_files
 
 HELD_OUT_FOLDER = "held-out"
@@ -109,6 +111,28 @@ def write_pictured(
         draw_held_out(comparisons, held_out_picture(out))
 
 
+class _Stage(BaseModel, strict=True):
+    name: str
+    seconds: FiniteFloat
+    skipped: bool
+    saved_s: FiniteFloat
+    peak_mb: FiniteFloat = 0.0
+
+
+class _Rays(BaseModel, strict=True):
+    tested: int
+    cast: int
+
+
+class _Run(BaseModel, strict=True):
+    """What reports take from the record of a run."""
+
+    stages: list[_Stage]
+    quality: Quality | None = Field(None, strict=False)
+    expected_seconds: dict[str, FiniteFloat] | None = None
+    rays: _Rays | None = None
+
+
 def write_run(done: Processed, out: Path, more: dict[str, Any]) -> None:
     """Write the record of a run: of which copy it is, and what each stage took or would have."""
     reflectance = done.figures.get("reflectance") or {}
@@ -119,12 +143,11 @@ def write_run(done: Processed, out: Path, more: dict[str, Any]) -> None:
 def read_run(out: Path) -> dict[str, Any] | None:
     """The record of the run that made a copy; None where there is none that makes sense."""
     try:
-        found = json.loads(run_file(out.resolve()).read_text())
-        names = {"name", "seconds", "skipped", "saved_s"}
-        whole = all(names <= set(stage) for stage in found["stages"])
-    except (OSError, ValueError, KeyError, TypeError):
+        found: dict[str, Any] = json.loads(run_file(out.resolve()).read_text())
+        _Run.model_validate(found)
+    except (OSError, ValueError, RecursionError):
         return None
-    return found if whole else None
+    return found
 
 
 def _nothing(folder: Path) -> None:

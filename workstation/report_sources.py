@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel, ValidationError
+
 from acquisition.session import Session
+from fitting.copy_files import COPY_FILE
 from fitting.errors import CopyError
 from workstation.copy_places import run_file
 from workstation.copy_writing import read_run
@@ -60,16 +64,72 @@ def find_sources(
     Raises
     ------
     CopyError
-        The copy was made from others.
+        The copy was made from others, or what it says of its making makes no sense.
     SessionError
         A session is damaged.
     """
+    _check_provenance(copy, provenance)
     if calibration is not None:
         _check_calibration(provenance, calibration)
     scan = _opened(copy, provenance, "session", session)
     pictures = _opened(copy, provenance, "photographs", photographs)
     run, doubt = _run_of(copy)
     return ReportSources(scan, pictures, run, () if doubt is None else (doubt,))
+
+
+class _Noise(BaseModel, strict=True):
+    predicted_mm: float
+    observed_mm: float
+
+
+class _Shape(BaseModel, strict=True):
+    bow_x_mm: float
+    bow_y_mm: float
+    twist_mm: float
+    bow_x_sigma_mm: float
+    bow_y_sigma_mm: float
+    twist_sigma_mm: float
+
+
+class _CalibrationError(BaseModel, strict=True):
+    height_sigma_mm: float
+
+
+class _Errors(BaseModel, strict=True):
+    height_sigma_mm: float = math.nan
+    height_noise: _Noise | None = None
+    canvas_shape: _Shape | str | None = None
+    calibration_uncertainty: _CalibrationError | str | None = None
+
+
+class _Material(BaseModel, strict=True):
+    k: float
+    variant: str
+    misfit: float
+    misfit_relative: float
+
+
+class _Reflectance(BaseModel, strict=True):
+    materials: list[_Material] | None = None
+
+
+class _Provenance(BaseModel, strict=True):
+    """What reports take from a copy's provenance, beside texts and parameters."""
+
+    errors: _Errors = _Errors()
+    reflectance: _Reflectance | None = None
+    warnings: list[Any] = []
+
+
+def _check_provenance(copy: Path, provenance: Mapping[str, Any]) -> None:
+    try:
+        _Provenance.model_validate(dict(provenance))
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, ("provenance", *first["loc"])))
+        raise CopyError(
+            f"{copy / COPY_FILE}: {where}: {first['msg']}; it is damaged: process the session again"
+        ) from None
 
 
 def calibration_behind(

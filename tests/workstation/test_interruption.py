@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -93,6 +94,21 @@ def test_an_import_that_is_broken_by_itself_is_told(monkeypatch, capsys):
         ended(monkeypatch, ImportError("numpy failed to import"), requested=False)
     assert ended(monkeypatch, RenderError("no OpenGL"), requested=False) == 3
     assert "no OpenGL" in capsys.readouterr().err
+
+
+def test_where_compiled_code_has_no_place_the_way_out_is_told(monkeypatch, capsys):
+    # As numba says it where neither the program's folder nor the home can be written to.
+    code = "from numba import njit\ndef f(): pass\nf.__code__ = f.__code__.replace("
+    code += "co_filename='/proc/none.py')\nnjit(f, cache=True)"
+    environment = {"PATH": os.environ["PATH"], "HOME": "/proc/none"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment
+    )
+    said = done.stderr.splitlines()[-1].removeprefix("RuntimeError: ")
+    assert ended(monkeypatch, RuntimeError(said), requested=False) == 3
+    assert "NUMBA_CACHE_DIR" in capsys.readouterr().err
+    with pytest.raises(RuntimeError, match="defect"):
+        ended(monkeypatch, RuntimeError("a defect"), requested=False)
 
 
 def test_a_device_that_could_not_be_stopped_is_told_after_an_interruption_too(monkeypatch, capsys):

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -103,6 +105,52 @@ def test_the_record_of_another_run_is_left_out(tmp_path):
     assert "mine-run.json is not the record of this copy" in found.warnings[0]
     run_file(mine).write_text(json.dumps({"stages": []}))
     assert find_sources(mine, {}).run is None
+
+
+STAGE = {"name": "decoding", "seconds": 1.0, "skipped": False, "saved_s": 0.0}
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"stages": [STAGE | {"saved_s": None}]},
+        {"stages": [STAGE | {"seconds": "1"}]},
+        {"stages": [STAGE | {"seconds": math.nan}]},
+        {"stages": [list(STAGE)]},
+        {"quality": "splendid"},
+        {"expected_seconds": [1]},
+        {"expected_seconds": {"decoding": "a"}},
+        {"rays": 5},
+        {"rays": {"tested": 1}},
+    ],
+)
+def test_a_record_that_makes_no_sense_is_left_out(tmp_path, damage):
+    copy = tmp_path / "copy"
+    write_copy(make_copy(np.full((8, 8), 0.5)), copy)
+    whole = {"copy": digest_of_files(copy), "quality": "draft", "stages": [STAGE]}
+    run_file(copy).write_text(json.dumps(whole))
+    assert find_sources(copy, {}).run == whole
+    run_file(copy).write_text(json.dumps(whole | damage))
+    assert find_sources(copy, {}).run is None
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"errors": []},
+        {"errors": {"height_noise": {}}},
+        {"errors": {"height_noise": {"predicted_mm": None, "observed_mm": 1.0}}},
+        {"errors": {"height_sigma_mm": None}},
+        {"errors": {"canvas_shape": {"bow_x_mm": 1.0}}},
+        {"errors": {"calibration_uncertainty": {}}},
+        {"reflectance": 5},
+        {"reflectance": {"materials": [{"k": "a"}]}},
+        {"warnings": 5},
+    ],
+)
+def test_a_copy_that_makes_no_sense_of_its_making_is_refused(damage):
+    with pytest.raises(CopyError, match=rf"copy.json: provenance.{next(iter(damage))}.*again"):
+        find_sources(Path("none"), damage)
 
 
 def test_photographs_kept_out_are_listed_without_their_pictures_too(tmp_path):
