@@ -128,7 +128,7 @@ class _Run(BaseModel, strict=True):
     """What reports take from the record of a run."""
 
     stages: list[_Stage]
-    quality: Quality | None = Field(None, strict=False)
+    quality: Quality = Field(Quality.NORMAL, strict=False)
     expected_seconds: dict[str, FiniteFloat] | None = None
     rays: _Rays | None = None
 

@@ -8,6 +8,7 @@ files, so that a command can ask before it loads what its work needs.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from pathlib import Path
@@ -40,6 +41,8 @@ _HEADERS = {
 }
 # Of a rig, or of a light arm by itself.
 _CALIBRATIONS = (("camera.cameramodel", "projector.cameramodel"), ("light-arm.json",))
+# Bytes of a name that leave room for what it is called while it is made (acquisition.atomic_files).
+_LONGEST_NAME = 255 - len("..in-progress-12345678")
 # A demo has places for other things; the rest is whole.
 _WHOLE = (Kind.SESSION, Kind.COPY, Kind.CALIBRATION)
 
@@ -83,11 +86,13 @@ def check_destinations(
     DestinationError
         An output is, holds or lies in something that is read; lies in any session, copy or
         calibration; is or lies in what another option makes; or cannot be written there: a file
-        where a folder is, or the other way round, or a file without a folder to lie in.
+        where a folder is, the other way round, a file without a folder to lie in, or a name too
+        long for the file system.
     """
     made, filled, written, coming = map(_named, (makes, fills, writes, beside))
     read = [path for path in inputs if path is not None]
     for name, path in (*made, *filled, *written, *coming):
+        _check_name(name, path)
         _check_against_inputs(name, path, read)
         _check_surroundings(name, path)
     for name, path in filled:
@@ -145,6 +150,14 @@ def _is_input_whole(folder: Path) -> bool:
     """Whether what is read takes nothing else into its folder, even if it is damaged."""
     named = any((folder / name).is_file() for name in ("plan.json", "copy.json"))
     return named or kind_of(folder) in _WHOLE
+
+
+def _check_name(name: str, path: Path) -> None:
+    if len(os.fsencode(path.name)) > _LONGEST_NAME:
+        raise DestinationError(
+            f"{name}: the name {path.name[:20]}… is too long, since it has a longer one while it "
+            f"is made; choose one of {_LONGEST_NAME} bytes at most"
+        )
 
 
 def _check_surroundings(name: str, path: Path) -> None:

@@ -7,6 +7,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from acquisition.atomic_files import file_in_progress, folder_in_progress
 from acquisition.plan import Plan
 from acquisition.session import PLAN_FILE
 from calibration.arm_files import ARM_FILE
@@ -113,6 +114,8 @@ def test_a_damaged_session_takes_nothing_either(desk):
         ({"makes": {"--out": "lamps.json/c"}}, "lamps.json is no folder"),
         ({"writes": {"--json": "f"}, "beside": {"--out (run)": "./f"}}, r"--json .* --out \(run"),
         ({"fills": {"--stages": "f/s"}, "beside": {"--out (run)": "f"}}, "--stages f/s"),
+        ({"makes": {"--out": "x" * 240}}, "too long .* 233 bytes"),
+        ({"writes": {"--json": "δ" * 120}}, "too long"),
         ({"beside": {"--out (picture)": "demo"}}, "demo is a folder: choose"),
         ({"beside": {"--out (picture)": "copy/f.png"}}, "lies in .*copy, a digital copy"),
     ],
@@ -135,6 +138,10 @@ def test_places_beside_what_is_read_are_free(desk):
         beside={"--out (run)": desk / "new" / "copy-run.json"},
     )
     check_destinations(desk / "poses", makes={"--out": desk / "poses" / "rig"})
+    longest = desk / ("x" * 233)
+    check_destinations(makes={"--out": longest})
+    with folder_in_progress(longest), file_in_progress(desk / ("y" * 229 + ".png")):
+        pass
     check_destinations(desk / "half", makes={"--out": desk / "half" / "copy"})
 
 

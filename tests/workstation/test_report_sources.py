@@ -118,6 +118,7 @@ STAGE = {"name": "decoding", "seconds": 1.0, "skipped": False, "saved_s": 0.0}
         {"stages": [STAGE | {"seconds": math.nan}]},
         {"stages": [list(STAGE)]},
         {"quality": "splendid"},
+        {"quality": None},
         {"expected_seconds": [1]},
         {"expected_seconds": {"decoding": "a"}},
         {"rays": 5},
