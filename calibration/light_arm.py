@@ -23,6 +23,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
 from calibration.arm_fit import INTENSITY, LAMP, ArmProblem, SphereHighlights, TargetShading
 from calibration.arm_geometry import ArmParameters, initial_arm
 from calibration.errors import CalibrationError
@@ -78,7 +79,8 @@ class LightArm:
         three axes, in standard errors; empty where it was not kept.
     radius_error, radius_sigma : float
         By which the target's shading says that the spheres' radius is larger than it was given,
-        relative, and its standard error; NaN where it was not kept.
+        relative, and its standard error, by variances as :attr:`inflation` scales them; NaN where
+        it was not kept.
     matt : bool
         Whether the target follows Lambert's law; otherwise one of its own by the incidence.
     placed_by_highlights : bool
@@ -167,7 +169,7 @@ def fit_light_arm(
     numbers = base.minimise(numbers)
     misses = base.misses(numbers)
     wild = np.sqrt(np.nansum(misses**2, axis=2)) > _OUTLIER_SIGMAS * max(
-        1.0, float(np.nanmedian(np.abs(misses))) / 0.6745
+        1.0, MEDIAN_TO_SIGMA * float(np.nanmedian(np.abs(misses)))
     )
     if wild.any():
         base = base.of_highlights(wild)
@@ -374,7 +376,8 @@ def _result(
         problem.target_gains(arm) if problem.shading.gains_unknown else None,
         problem.shading_misfit(arm),
         problem.sphere_shift_sigmas(numbers),
-        *radius,
+        radius[0],
+        radius[1] * float(np.sqrt(inflation)),
         matt=problem.matt,
         placed_by_highlights=not same,
     )

@@ -81,6 +81,8 @@ def test_a_sag_of_another_form_shows(fitted):
     arm = bent.fit()
     assert arm.inflation > 1.5
     assert np.nanmedian(arm.residual_deg) > np.nanmedian(fitted.residual_deg)
+    # The spheres are as large as they were said to be, and are not to be blamed.
+    assert abs(arm.radius_error) < 2 * arm.radius_sigma
 
 
 def test_another_anisotropy_shows():
