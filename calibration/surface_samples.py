@@ -67,9 +67,14 @@ def sample_surface(
     Raises
     ------
     CalibrationError
-        Too little of the board's white was decoded.
+        Too little of the board was seen, or of its white decoded.
     """
-    square_px = float(np.nanmedian(np.linalg.norm(np.diff(corners, axis=1), axis=-1)))
+    along_rows = np.linalg.norm(np.diff(corners, axis=1), axis=-1)
+    if not np.isfinite(along_rows).any():
+        raise CalibrationError(
+            f"{name}: no two neighbouring corners of a row of the board are seen; show more of it"
+        )
+    square_px = float(np.nanmedian(along_rows))
     block_px = block_px or int(np.clip(round(square_px / 4), *_BLOCK_PX))
     u, v, _ = board_position(correspondence, corners)
     rows, columns = corners.shape[:2]
