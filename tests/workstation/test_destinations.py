@@ -114,7 +114,7 @@ def test_a_damaged_session_takes_nothing_either(desk):
         ({"makes": {"--out": "lamps.json/c"}}, "lamps.json is no folder"),
         ({"writes": {"--json": "f"}, "beside": {"--out (run)": "./f"}}, r"--json .* --out \(run"),
         ({"fills": {"--stages": "f/s"}, "beside": {"--out (run)": "f"}}, "--stages f/s"),
-        ({"makes": {"--out": "x" * 240}}, "too long .* 233 bytes"),
+        ({"makes": {"--out": "x" * 240}}, "too long.* 233 bytes"),
         ({"writes": {"--json": "δ" * 120}}, "too long"),
         ({"beside": {"--out (picture)": "demo"}}, "demo is a folder: choose"),
         ({"beside": {"--out (picture)": "copy/f.png"}}, "lies in .*copy, a digital copy"),
