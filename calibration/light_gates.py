@@ -56,7 +56,7 @@ class LightGateLimits:
         Most relative error of the spheres' radius, beyond three times its standard error, by the
         target's shading; a hundredth is 0.4° of direction. Beyond these three alone it is flagged.
     radius_sigma : float
-        Largest standard error of it that tells anything.
+        Largest standard error of it that tells a right radius.
     """
 
     behind_radii: float = 1.0
@@ -202,23 +202,25 @@ def _shading(arm: LightArm, limits: LightGateLimits) -> Verdict:
 
 
 def _radius(arm: LightArm, radius_mm: float, limits: LightGateLimits) -> Verdict | Untested:
-    if not arm.radius_sigma <= limits.radius_sigma:
+    off, sigma = abs(arm.radius_error), arm.radius_sigma
+    beyond = max(off - _SIGMAS * sigma, 0.0)
+    # What tells little may still contradict the radius outright, as other light on the target does.
+    if not (sigma <= limits.radius_sigma or beyond > limits.radius_error):
         return Untested(
             LightGate.RADIUS, "the target's radiance tells too little; photograph more poses"
         )
-    off, sigma = abs(arm.radius_error), arm.radius_sigma
     right = radius_mm * (1 + arm.radius_error)
     return Verdict(
         LightGate.RADIUS,
         (
             Criterion(
                 "relative error beyond three standard errors",
-                max(off - _SIGMAS * sigma, 0.0),
+                beyond,
                 limits.radius_error,
             ),
             Criterion("over its standard error", off / sigma, _SIGMAS, refuses=False),
         ),
         f"how the light falls on the white target asks for spheres of {right:.2f} mm (standard "
         f"error {radius_mm * arm.radius_sigma:.2f} mm), not {radius_mm:g} mm: measure their "
-        "diameter, of which the radius is half",
+        "diameter, of which the radius is half, and see that no other light falls on the target",
     )

@@ -8,6 +8,7 @@ import pytest
 from calibration.errors import CalibrationError
 from calibration.lens import rt_from_matrix, transform
 from calibration.light_arm import fit_light_arm
+from calibration.light_gates import LightGate, check_lights
 from workstation.benchmarks.lights import (
     LENS,
     RT_CAM_SCENE,
@@ -119,6 +120,25 @@ def test_the_target_tells_the_radius_of_the_spheres(seen, fitted):
     for arm, factor in ((fitted, 1.0), (replace(seen, highlights=smaller).fit(), 0.98)):
         assert arm.radius_sigma < 0.005
         assert (1 + arm.radius_error) * factor == pytest.approx(1, abs=3 * arm.radius_sigma)
+
+
+def test_a_radius_that_is_contradicted_is_refused_however_unsure_its_error_is(seen, fitted):
+    def outcome(error, sigma):
+        report = check_lights(
+            replace(fitted, radius_error=error, radius_sigma=sigma),
+            [one.sphere for one in seen.highlights],
+            target_middle=seen.shading.points.mean(axis=0),
+            target_normal=seen.shading.normal,
+        )
+        found = [v for v in report.verdicts if v.gate == LightGate.RADIUS]
+        return found[0].outcome if found else "not tested"
+
+    # As a lamp in the room does that gives a fifth of the light.
+    assert outcome(0.169, 0.0203) == "refused"
+    assert outcome(0.03, 0.0203) == "not tested"
+    assert outcome(np.nan, np.nan) == "not tested"
+    assert outcome(0.01, 0.005) == "holds"
+    assert outcome(0.019, 0.005) == "warning"
 
 
 def test_a_wrong_highlight_is_named_and_does_no_harm(seen):
