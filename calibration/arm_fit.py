@@ -36,7 +36,7 @@ _SHADOW_SIGMAS = 6.0
 _LEAST_SHADOW = 0.03
 _SHADOWED = 0.05
 # Chance below which a misfit is not taken for noise.
-_CHANCE = 1e-4
+CHANCE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -327,7 +327,7 @@ class ArmProblem:
         smooth_count = len(smooth) * (1 - free / max(poses, 1)) - fitted
         ratios = [1.0]
         for found, freedom in ((total, count), (shared, smooth_count)):
-            if chi2.sf(found, max(freedom, 1.0)) < _CHANCE:
+            if chi2.sf(found, max(freedom, 1.0)) < CHANCE:
                 ratios.append(found / max(freedom, 1.0))
         return max(ratios)
 
@@ -343,7 +343,7 @@ class ArmProblem:
         """
         from scipy.stats import chi2
 
-        return bool(chi2.sf(self._pull(numbers, alone), LAMP.start) >= _CHANCE)
+        return bool(chi2.sf(self._pull(numbers, alone), LAMP.start) >= CHANCE)
 
     def _pull(self, numbers: NDArray[np.float64], alone: NDArray[np.float64]) -> float:
         """By how much the highlights' sum of squares grows as the target is listened to."""

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
-from calibration.arm_fit import INTENSITY, LAMP, ArmProblem, SphereHighlights, TargetShading
+from calibration.arm_fit import CHANCE, INTENSITY, LAMP, ArmProblem, SphereHighlights, TargetShading
 from calibration.arm_geometry import ArmParameters, initial_arm
 from calibration.errors import CalibrationError
 from calibration.lamp import Lamp
@@ -40,8 +40,6 @@ _LEAST_SPREAD = 0.05
 _TRIAL_ROUNDS = 12
 # How often a target that does not agree is weighted by what is left of its misfit.
 _WEIGHTINGS = 4
-# Chance below which a misfit is not taken for noise.
-_CHANCE = 1e-4
 _OUTLIER_SIGMAS = 6.0
 # Of a lamp's fall-off, to start from: at 0 a fit in its root would not know where to go.
 _EXPONENTS = (0.5, 100.0)
@@ -358,11 +356,11 @@ def _result(
     kept = problem.misses(numbers)
     total, freedom = float(np.nansum(kept**2)), int(np.isfinite(kept).sum()) - 10
     inflation = 1.0
-    if freedom > 0 and chi2.sf(total, freedom) < _CHANCE:
+    if freedom > 0 and chi2.sf(total, freedom) < CHANCE:
         inflation = total / freedom
     squares = np.nansum(misses**2, axis=(1, 2)) / inflation
     seen = np.isfinite(misses).sum(axis=(1, 2))
-    chance = _CHANCE / len(problem.poses)
+    chance = CHANCE / len(problem.poses)
     suspect = np.flatnonzero((seen > 0) & (chi2.sf(squares, np.maximum(seen, 1)) < chance))
     count = len(arm.as_array())
     fitted = LightArm(
