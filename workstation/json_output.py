@@ -39,14 +39,15 @@ def write_json(path: Path | None, figures: Any) -> None:
     Numbers that are not finite become null, because JSON has none.
     """
     if path is not None:
-        write_bytes(path, (json.dumps(_finite(figures), indent=1) + "\n").encode())
+        write_bytes(path, (json.dumps(plain_figures(figures), indent=1) + "\n").encode())
 
 
-def _finite(value: Any) -> Any:
+def plain_figures(value: Any) -> Any:
+    """Figures as they come back from a JSON file, but for keys that are no texts."""
     if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
+        return {key: plain_figures(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
+        return [plain_figures(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

@@ -17,7 +17,7 @@ from typing import Any
 
 from acquisition.session import MANIFEST_FILE
 from workstation.copy_places import places_beside
-from workstation.json_output import write_json
+from workstation.json_output import plain_figures, write_json
 from workstation.stage_cache import digest_of_files, digest_of_program
 
 _NOTE = "written.json"
@@ -44,12 +44,12 @@ def figures_if_written(out: Path, stages: Path | None, request: str) -> dict[str
         return None
     try:
         note = json.loads((stages / _NOTE).read_text())
-        known = note["request"], note["files"]
+        known = note["request"], note["files"], note["digest"]
         figures: dict[str, Any] = dict(note["figures"])
         written = _digest_of_written(out)
     except (OSError, ValueError, KeyError, TypeError):
         return None
-    return figures if known == (request, written) else None
+    return figures if known == (request, written, _digest_of_figures(figures)) else None
 
 
 def note_written(out: Path, stages: Path | None, request: str, figures: dict[str, Any]) -> None:
@@ -58,9 +58,19 @@ def note_written(out: Path, stages: Path | None, request: str, figures: dict[str
     Where there is no room for the note, the next run looks more closely.
     """
     if stages is not None and stages.is_dir():
-        note = {"request": request, "files": _digest_of_written(out), "figures": figures}
+        plain = plain_figures(figures)
+        note = {
+            "request": request,
+            "files": _digest_of_written(out),
+            "figures": plain,
+            "digest": _digest_of_figures(plain),
+        }
         with contextlib.suppress(OSError):
             write_json(stages / _NOTE, note)
+
+
+def _digest_of_figures(figures: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(figures, sort_keys=True).encode()).hexdigest()
 
 
 def _digest_of_written(out: Path) -> str:

@@ -182,6 +182,15 @@ def test_pictures_beside_a_copy_are_its_own_wherever_it_is_moved(session, tmp_pa
     assert "is up to date" not in command(session, "--out", moved).output
     assert relief_picture(moved).read_bytes() == relief_picture(out).read_bytes()
     assert run_file(moved).is_file()
+    # Nor is a note believed that was damaged.
+    note = stages_folder(moved) / "written.json"
+    damaged = json.loads(note.read_text())
+    del damaged["figures"]["stages"]
+    note.write_text(json.dumps(damaged))
+    again = command(session, "--out", moved)
+    assert again.exit_code == 0, again.output
+    assert "is up to date" not in again.output
+    assert "is up to date" in command(session, "--out", moved).output
 
 
 def test_no_copy_appears_whose_picture_has_no_room(session, tmp_path, monkeypatch):
