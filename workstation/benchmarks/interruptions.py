@@ -141,7 +141,7 @@ class _Whole:
     """What a run leaves that nobody interrupts."""
 
     names: frozenset[str]
-    digest: str | None
+    session: Session | None
 
 
 def interrupt(
@@ -233,8 +233,8 @@ def _run_whole(command: Command, place: Path, done: Interruptions) -> _Whole | N
     folder = place / "whole-0"
     command.check(folder)
     names = frozenset(path.name for path in folder.iterdir()) - command.kept
-    digest = Session.open(folder / command.resumable).digest if command.resumable else None
-    return _Whole(names, digest)
+    session = Session.open(folder / command.resumable) if command.resumable else None
+    return _Whole(names, session)
 
 
 def _once(command: Command, whole: _Whole, folder: Path, moment: float) -> _End:
@@ -256,8 +256,8 @@ def _left_behind(
     if ended not in (0, INTERRUPTED):
         return f"ended with {ended}: {cut.said}"
     if ended != 0 and command.resumable is not None:
-        digest = whole.digest if command.same else None
-        return _resume(folder / command.resumable, digest, before, command.kept)
+        same = whole.session if command.same else None
+        return _resume(folder / command.resumable, same, before, command.kept)
     left = {path.name for path in folder.iterdir()} - command.kept
     if ended != 0 and left <= before:
         return None
@@ -272,33 +272,37 @@ def _left_behind(
 
 
 def _resume(
-    session: Path, digest: str | None, before: set[str], kept: frozenset[str]
+    session: Path, whole: Session | None, before: set[str], kept: frozenset[str]
 ) -> str | None:
     """Go on with a session that was cut off; what it lacks then of a whole one."""
     left = {path.name for path in session.parent.iterdir()} - kept
     if not left - before - {session.name}:
         if not session.exists():
             return None
-        return _resumed(session, digest)
-    return _opened(session, digest)
+        return _resumed(session, whole)
+    return _opened(session, whole)
 
 
-def _resumed(session: Path, digest: str | None) -> str | None:
+def _resumed(session: Path, whole: Session | None) -> str | None:
     """Go on with a session; what is wrong with it then."""
     words = [*IMPASTO, "resume", str(session)]
     ended = subprocess.run(words, capture_output=True, text=True, check=False)
     if ended.returncode:
         return f"cannot be resumed: {ended.stderr.strip()}"
-    return _opened(session, digest)
+    return _opened(session, whole)
 
 
-def _opened(session: Path, digest: str | None) -> str | None:
-    """What is wrong with a session that should be whole, and have a digest if one is given."""
+def _opened(session: Path, whole: Session | None) -> str | None:
+    """What is wrong with a session that should be whole, and as another if one is given."""
     try:
-        found = Session.open(session).digest
+        found = Session.open(session)
     except SessionError as error:
         return f"resumed to what is not whole: {error}"
-    return None if digest in (None, found) else "resumed to another manifest"
+    if whole is None or found.digest == whole.digest:
+        return None
+    files = [{name: one.sha256 for name, one in s.recorded.items()}.items() for s in (found, whole)]
+    differing = sorted({name for name, _ in files[0] ^ files[1]})
+    return f"resumed to another manifest; frames that differ: {', '.join(differing) or 'none'}"
 
 
 @dataclass
@@ -360,7 +364,7 @@ def kill_recordings(
 
     with ThreadPoolExecutor(_AT_ONCE) as pool:
         lasting_s = float(np.mean(list(pool.map(record, range(_AT_ONCE)))))
-    digest = Session.open(place / "whole-0").digest
+    whole = Session.open(place / "whole-0")
     early: list[float] = []
     late: list[float] = []
 
@@ -375,7 +379,7 @@ def kill_recordings(
         done.kills += 1
         advance()
         done.lost_frames += _lost_frames(out)
-        wrong = _resumed(out, digest)
+        wrong = _resumed(out, whole)
         if wrong:
             done.wrong.append(f"scan killed after {cut.seconds:.2f} s: {wrong}")
         shutil.rmtree(out)
