@@ -11,6 +11,7 @@ import os
 import re
 import select
 import shutil
+import signal
 import subprocess
 import zlib
 from collections.abc import Iterator
@@ -136,7 +137,8 @@ def headless_browser() -> Iterator[Browser]:
         pytest.skip("Chromium is not installed (apt install chromium)")
     commands, to = os.pipe()
     back, answers = os.pipe()
-    with TemporaryDirectory() as profile:
+    # Processes of a browser that is killed may write into its profile for a moment.
+    with TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         # Commands are read from file 3, answers written to file 4.
         process = subprocess.Popen(
             [
@@ -147,13 +149,14 @@ def headless_browser() -> Iterator[Browser]:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
+            start_new_session=True,
         )
         os.close(commands)
         os.close(answers)
         try:
             yield Browser(to, back)
         finally:
-            process.kill()
+            os.killpg(process.pid, signal.SIGKILL)
             process.wait()
             os.close(to)
             os.close(back)
