@@ -21,7 +21,7 @@ _REACH_IN = 0.17
 
 
 def curve_pictures(curve: QualityCurve, *, chosen: str | None = None) -> tuple[Picture, Picture]:
-    """Processor's time against errors of heights, and against those of photographs kept out.
+    """Time of rig and processor against errors of heights, and of photographs kept out.
 
     What nothing else beats in the two figures of a picture is joined by a line; the defaults are a
     star.
@@ -37,10 +37,8 @@ def curve_pictures(curve: QualityCurve, *, chosen: str | None = None) -> tuple[P
         curve, chosen, lambda point: -point.heldout_db, "PSNR of photographs kept out, dB"
     )
     return (
-        Picture("Processor's time and the error of heights; lower is better", heights),
-        Picture(
-            "Processor's time and photographs kept out of the fit; lower is better", photographs
-        ),
+        Picture("Time and the error of heights; lower is better", heights),
+        Picture("Time and photographs kept out of the fit; lower is better", photographs),
     )
 
 
@@ -57,8 +55,8 @@ def _draw(
     for number, point in enumerate(curve.points, start=1):
         ringed = point.name == chosen
         _mark(axes, number, point, error(point), colours[point.curve], ringed=ringed)
-    front = pareto_front(curve.points, lambda point: (point.seconds, error(point)))
-    axes.plot([p.seconds for p in front], [error(p) for p in front], color="0.6", lw=1, zorder=0)
+    front = pareto_front(curve.points, lambda point: (point.total_s, error(point)))
+    axes.plot([p.total_s for p in front], [error(p) for p in front], color="0.6", lw=1, zorder=0)
     axes.set_xscale("log")
     # Before the scale is asked for its ticks.
     axes.margins(x=0.2, y=0.1)
@@ -66,12 +64,12 @@ def _draw(
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.yaxis.set_major_formatter(lambda value, _: f"{abs(value):.1f}")
-    axes.set_xlabel("processor's time, s")
+    axes.set_xlabel("recording and processing, s")
     axes.set_ylabel(name)
     # Settings that cost and give nearly the same would write over one another by their names.
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
     figure.draw_without_rendering()
-    _number(axes, np.array([(p.seconds, error(p)) for p in curve.points]), inch=figure.dpi)
+    _number(axes, np.array([(p.total_s, error(p)) for p in curve.points]), inch=figure.dpi)
     return figure_png(figure, dpi=_DPI)
 
 
@@ -80,9 +78,9 @@ def _mark(
 ) -> None:
     mark, size = ("*", 14) if point.default else ("o", 6)
     name = f"{number}  {point.label}"
-    axes.plot(point.seconds, error, mark, color=colour, markersize=size, label=name)
+    axes.plot(point.total_s, error, mark, color=colour, markersize=size, label=name)
     if ringed and point.curve == QUALITY:
-        axes.plot(point.seconds, error, "o", color="0.2", markersize=20, fillstyle="none")
+        axes.plot(point.total_s, error, "o", color="0.2", markersize=20, fillstyle="none")
 
 
 def _number(axes: Axes, points: NDArray[np.float64], *, inch: float) -> None:

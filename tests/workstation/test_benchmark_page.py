@@ -91,9 +91,11 @@ def test_a_folder_goes_with_all_benchmarks_and_no_others(words):
     assert CliRunner().invoke(app, words).exit_code == 2
 
 
-def point(name, seconds, height, decibel):
-    curve = "quality" if name == "normal" else "steps"
-    return CurvePoint(curve, name, seconds, seconds, height, decibel, 9, 9, name == "normal")
+def point(name, seconds, height, decibel, *, recording_s=0.0):
+    curve, default = ("quality", True) if name == "normal" else ("steps", False)
+    return CurvePoint(
+        curve, name, seconds, seconds, recording_s, height, decibel, 9, 9, default=default
+    )
 
 
 def values(*points):
@@ -112,7 +114,13 @@ def test_what_beats_the_defaults_is_told():
     assert found["pipeline.normal_on_front"] == 0
     assert found["pipeline.heights_beat_normal"] == found["pipeline.reflectance_beat_normal"] == 1
     # By less than processors differ from run to run.
-    assert values(usual, point("like", 1.9, 1.99, 30.05))["pipeline.heights_beat_normal"] == 0
+    alike = values(usual, point("like", 1.95, 1.99, 30.05))
+    assert alike["pipeline.heights_beat_normal"] == 0
+    assert alike["pipeline.normal_on_front"] == 1
+    # What is quicker to process is dearer where it takes longer to record.
+    dear = values(usual, point("more frames", 1.5, 1.5, 30.5, recording_s=3))
+    assert dear["pipeline.normal_on_front"] == 1
+    assert dear["pipeline.steps.more_frames"] == 4.5
 
 
 def test_one_setting_is_the_default_and_it_is_that_of_the_command():
@@ -129,6 +137,8 @@ def test_a_recorded_scene_is_judged_by_photographs_that_it_does_not_see(tmp_path
     # Without the shadow that the frame throws, some 20 dB.
     assert 21 < found.heldout_db < 40
     assert 0 < found.fit_seconds < found.seconds
+    # Some hundred frames, and the arm's way between six poses from two places.
+    assert 30 < found.recording_s < 300
     assert {path.name for path in scene.folder.iterdir() if path.is_dir()} == {
         "rig",
         "scan-4-1",

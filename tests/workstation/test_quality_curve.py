@@ -30,6 +30,10 @@ def test_the_front_is_what_nothing_else_beats():
     assert len(pareto_front([(1, 1, 2), (2, 2, 1), (2, 2, 3)], lambda point: point)) == 2
     assert not beats((1, math.nan), (2, 2))
     assert not beats((1, 1), (1, 1))
+    # A little better is alike, a little worse is no win.
+    assert not beats((1, 1), (1.1, 1), (0.2, 0.2))
+    assert beats((1, 1), (1.3, 1), (0.2, 0.2))
+    assert not beats((1, 1.1), (9, 1), (0.2, 0.2))
 
 
 def test_the_curve_that_comes_with_the_program_is_of_todays_options():

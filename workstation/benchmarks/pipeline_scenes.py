@@ -11,6 +11,7 @@ from tempfile import TemporaryDirectory
 import cv2
 import numpy as np
 
+from acquisition.duration import estimate_duration
 from acquisition.photograph_plan import plan_photographs
 from acquisition.plan import Metering, Plan
 from acquisition.recording import record_plan
@@ -173,6 +174,7 @@ class RecordedScene:
             name,
             seconds=time.process_time() - started,
             fit_seconds=took[REFLECTANCE],
+            recording_s=sum(self._recording_s(path) for path in sessions),
             height_mm=self._height_error(copy),
             heldout_db=self.judged(done, copy),
             texels=int(copy.height_field.mask.sum()),
@@ -198,6 +200,16 @@ class RecordedScene:
             around = surroundings_of(copy, done.surface)
             terrain = Terrain.of(copy.height_field, surroundings=around)
             return pooled_psnr_db(compare_held_out(copy, terrain, photographs))
+
+    def _recording_s(self, path: Path) -> float:
+        """What a rig with such devices takes for the frames of a session."""
+        session = Session.open(path)
+        expected = estimate_duration(
+            session.plan.model_copy(update={"frames": session.frames}),
+            frame_period_s=self.rig.projector.capabilities.frame_period_s,
+            arm=self.rig.arm.capabilities,
+        )
+        return expected.frames_s + expected.light_s
 
     def _scan(self, capture: Capture) -> Path:
         metered = "" if capture.metering is None else "-metered"
