@@ -12,7 +12,7 @@ from pathlib import Path
 from acquisition.atomic_files import folder_in_progress
 from acquisition.errors import SessionError
 from devices.errors import ImpastoError
-from workstation.benchmark_records import Record, limits_text
+from workstation.benchmark_records import Record, limits_text, record_row
 from workstation.interruption import too_late_to_stop
 from workstation.json_output import write_json
 from workstation.progress import progress
@@ -104,16 +104,7 @@ def _run(name: str, pictures: Path) -> list[Record]:
 
 
 def _section(name: str, records: list[Record], pictures: Path, took: str) -> Section:
-    rows = tuple(
-        (
-            record.name,
-            f"{record.value:.4g} {record.unit}",
-            limits_text(record),
-            "yes" if record.holds else "NO",
-            record.note,
-        )
-        for record in records
-    )
+    rows = tuple(record_row(record) for record in records)
     drawn = tuple(
         Picture(path.stem.replace("-", " "), path.read_bytes())
         for path in sorted(pictures.glob("*.png"))

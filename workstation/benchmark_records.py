@@ -64,17 +64,22 @@ def limits_text(record: Record) -> str:
     return f"{record.sense} {limits}"
 
 
+def record_row(record: Record) -> tuple[str, ...]:
+    """A record as a row of a table: name, value, bound, whether it holds, note."""
+    return (
+        record.name,
+        f"{record.value:.4g} {record.unit}",
+        limits_text(record),
+        "yes" if record.holds else "NO",
+        record.note,
+    )
+
+
 def print_records(records: list[Record]) -> None:
     """Print records as a table on standard output."""
     table = Table()
     for heading in ("figure", "value", "bound", "holds", "note"):
         table.add_column(heading, no_wrap=heading == "figure", overflow="fold")
     for record in records:
-        table.add_row(
-            record.name,
-            f"{record.value:.4g} {record.unit}",
-            limits_text(record),
-            "yes" if record.holds else "NO",
-            record.note,
-        )
+        table.add_row(*record_row(record))
     Console().print(table)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from workstation.benchmark_records import Record, Sense, limits_text
+from workstation.benchmark_records import Record, Sense, record_row
 from workstation.report_page import Section, Table
 
 
@@ -51,13 +51,7 @@ def demo_records(figures: dict[str, Any]) -> list[Record]:
 def bounds_section(records: list[Record]) -> Section:
     """The part of the demo's report."""
     rows = tuple(
-        (
-            record.name.removeprefix("demo.").replace("_", " "),
-            f"{record.value:.4g} {record.unit}",
-            limits_text(record),
-            "yes" if record.holds else "no",
-            record.note,
-        )
+        (record.name.removeprefix("demo.").replace("_", " "), *record_row(record)[1:])
         for record in records
     )
     return Section(
