@@ -183,10 +183,9 @@ def _compensate_axis(
     design = np.hstack([smooth, waves, np.stack([e[sampled] for e in edge], axis=1)])
     weight = 1 / np.sqrt(np.asarray(axis.variance[sampled], np.float64))
     row, col = np.nonzero(sampled)
-    member = np.unique(np.stack([row, col]) // _NEIGHBOURHOOD_PX, axis=1, return_inverse=True)[
-        1
-    ].ravel()
-    solution, sigma = _robust_fit(design, observed, weight, member)
+    neighbourhoods = np.stack([row, col]) // _NEIGHBOURHOOD_PX
+    _, member = np.unique(neighbourhoods, axis=1, return_inverse=True)
+    solution, sigma = _robust_fit(design, observed, weight, member.ravel())
     start, stop = smooth.shape[1], smooth.shape[1] + waves.shape[1]
     error = np.tensordot(solution[stop:], np.stack(edge), axes=1)
     phase = 2 * np.pi * axis.coordinate / axis.period_px
