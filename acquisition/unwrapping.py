@@ -20,8 +20,9 @@ within the tolerance around that of its neighbours, some 2 × 5 √2 σ_x / L pe
 *Steps of the surface.* A frame stands before its wall by the same height everywhere, and that can
 be worth whole periods by chance. Then it is no small part that contradicts its neighbours, and it
 does so along a line that has nothing to do with the panel: a wrong code is wrong from a certain
-coordinate on, so its border keeps to one coordinate, while a frame's runs across them. Large
-components whose border does not keep to a coordinate are left as they were decoded.
+coordinate on, so its border keeps to one coordinate in every order that it meets, while a frame's
+upper and lower sides run across them, even where its other two are upright. Large components whose
+border does not keep to coordinates are left as they were decoded.
 
 If a large share of the picture contradicts its neighbours in that way, it is no noise: pictures of
 the code were taken for one another, and the decoding is refused.
@@ -47,8 +48,9 @@ _FARTHEST = 4
 _SUBSTANTIAL_PIXELS = 30
 _SUBSTANTIAL_SHARE = 1e-3
 _SAMPLED_LINES = 40
-# A border keeps to a coordinate where this share of it is within this share of a period of the
-# median among its pixels of one order; one that runs across the fringes has a fifth there.
+# A border keeps to a coordinate in an order where this share of it is within this share of a period
+# of the median; one that runs across the fringes has a fifth there. A code's does in this share of
+# the orders.
 _KEEPS_SHARE = 0.75
 _KEEPS_PERIODS = 0.1
 # Smaller components are put right whatever their border: that one goes on all around by chance is
@@ -312,13 +314,14 @@ def _is_of_the_code(
         near = max(_KEEPS_PERIODS * axis.period_px, slopes[number] / 2)
         near = min(near, axis.period_px / 4)
         order = np.floor(at / axis.period_px)
-        counted, keeping = 0, 0
-        for one in np.unique(order):
-            of_order = at[order == one]
-            if len(of_order) >= _LEAST_OF_AN_ORDER:
-                counted += len(of_order)
-                keeping += int((np.abs(of_order - np.median(of_order)) <= near).sum())
-        if counted >= _LEAST_OF_A_BORDER and keeping >= _KEEPS_SHARE * counted:
+        of_orders = [at[order == one] for one in np.unique(order)]
+        of_orders = [of for of in of_orders if len(of) >= _LEAST_OF_AN_ORDER]
+        if sum(map(len, of_orders)) < _LEAST_OF_A_BORDER:
+            continue
+        # A frame that hangs upright has two sides that keep to a coordinate, and may be high; but
+        # its upper and lower sides run across many orders.
+        keep = [np.mean(np.abs(of - np.median(of)) <= near) >= _KEEPS_SHARE for of in of_orders]
+        if np.mean(keep) >= _KEEPS_SHARE:
             return True
     return False
 

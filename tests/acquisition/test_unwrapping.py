@@ -144,6 +144,17 @@ def test_a_frame_that_stands_whole_periods_before_its_wall_is_kept(periods, both
     assert not check.wrong.any()
 
 
+@pytest.mark.parametrize("periods", [-2, 1])
+def test_an_upright_frame_that_stands_whole_periods_before_its_wall_is_kept(periods):
+    """Most of its border runs along the fringes, as that of a wrong code does."""
+    column = noisy(60 + 1.1 * np.indices((240, 320))[1].astype(float))
+    column[10:230, 120:180] += periods * PERIOD
+    row = noisy(20 + 1.1 * np.indices((240, 320))[0].astype(float), seed=1)
+    check = check_orders({Axis.COLUMN: axis_of(column), Axis.ROW: axis_of(row, extent=320)})
+    np.testing.assert_array_equal(check.coordinates[Axis.COLUMN], column)
+    assert not check.wrong.any()
+
+
 def test_a_board_that_stands_whole_periods_before_its_wall_in_both_axes_is_kept():
     """Its edges run along the fringes, as those of a wrong code do; but no code makes both jump."""
     column = noisy(60 + 1.1 * np.indices((240, 320))[1].astype(float))
