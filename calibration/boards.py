@@ -111,7 +111,8 @@ def detect_corners(
     Returns
     -------
     (rows, columns, 2) float64 array
-        Pixels (column, row) of the board's corners; NaN where a ChArUco corner is not seen.
+        Pixels (column, row) of the board's corners; NaN where a ChArUco corner is not seen, or
+        where no edges meet near the place at which the board has one.
 
     Raises
     ------
@@ -138,11 +139,37 @@ def detect_corners(
         )
     seen = np.isfinite(coarse[..., 0])
     window = int(np.clip(0.12 * _spacing(coarse), 2, 12))
-    start = np.ascontiguousarray(coarse[seen], np.float32).reshape(-1, 1, 2)
-    refined = cv2.cornerSubPix(levels, start, (window, window), (-1, -1), _REFINEMENT)
     pixels = np.full(coarse.shape, np.nan)
-    pixels[seen] = refined.reshape(-1, 2)
+    pixels[seen] = _refined(levels, coarse[seen], window)
     return pixels
+
+
+def _refined(
+    levels: NDArray[np.float32], start: NDArray[np.float64], window: int
+) -> NDArray[np.float64]:
+    """Corners (n, 2) where the edges in a window around them meet; NaN where none do.
+
+    OpenCV gives back the start itself where the corner lies outside of the window. From a larger
+    one, which may hold parts of a marker, it is found well enough to start from again.
+    """
+    found = _within(levels, start, window)
+    astray = ~np.isfinite(found[:, 0])
+    if astray.any():
+        nearer = _within(levels, start[astray], 2 * window)
+        there = np.isfinite(nearer[:, 0])
+        nearer[there] = _within(levels, nearer[there], window)
+        found[astray] = nearer
+    return found
+
+
+def _within(
+    levels: NDArray[np.float32], start: NDArray[np.float64], window: int
+) -> NDArray[np.float64]:
+    at = np.ascontiguousarray(start, np.float32).reshape(-1, 1, 2)
+    # In place.
+    moved = cv2.cornerSubPix(levels, at.copy(), (window, window), (-1, -1), _REFINEMENT)
+    stayed = (moved == at).all(axis=(1, 2))
+    return np.where(stayed[:, np.newaxis], np.nan, moved.reshape(-1, 2).astype(np.float64))
 
 
 def _chessboard_corners(image: NDArray[np.uint8], board: Chessboard) -> NDArray[np.float64] | None:

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from calibration import boards
 from calibration.board_views import BoardView
 from calibration.boards import CharucoBoard, Chessboard, detect_corners
 from calibration.errors import CalibrationError
@@ -67,6 +68,20 @@ def test_a_charuco_board_may_be_hidden_in_part():
     seen = np.isfinite(part[..., 0])
     assert 6 <= seen.sum() < 40
     assert np.abs(part[seen] - true[seen]).max() < 0.5
+
+
+def test_a_corner_whose_first_guess_is_far_off_is_found_or_not_there(monkeypatch):
+    """OpenCV gives the guess back where the corner lies outside of its window."""
+    picture, _, _ = seen_from_aside(drawn_chessboard(60, 60), scale=60)
+    right = detect_corners(picture, BOARD)
+    guess = right + 0.3
+    guess[1, 2] += [6.0, -4.0]  # the window reaches 5 pixels
+    guess[3, 4] += 0.5 * (right[3, 5] - right[3, 4]) + 0.5 * (right[4, 4] - right[3, 4])
+    monkeypatch.setattr(boards, "_chessboard_corners", lambda image, board: guess)
+    found = detect_corners(picture, BOARD)
+    assert np.isnan(found[3, 4]).all()  # the middle of a square, where no edges meet
+    found[3, 4] = right[3, 4]
+    assert np.abs(found - right).max() < 0.02
 
 
 @pytest.mark.parametrize(
