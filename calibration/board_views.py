@@ -64,6 +64,11 @@ class BoardView:
             tuple(np.ascontiguousarray(s[::-1, ::-1]) for s in self.sigma_px),
         )
 
+    def without(self, corners: NDArray[np.bool_]) -> BoardView:
+        """The same view with some of the corners (rows, columns) seen by no lens."""
+        pixels = tuple(np.where(corners[..., np.newaxis], np.nan, p) for p in self.pixels)
+        return BoardView(self.name, pixels, self.sigma_px)
+
     def moved(self, shifts: NDArray[np.float64]) -> BoardView:
         """The same view with (lenses, rows, columns, 2) added to the pixels."""
         pixels = tuple(p + shift for p, shift in zip(self.pixels, shifts, strict=True))

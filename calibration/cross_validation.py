@@ -27,6 +27,8 @@ from calibration.mrcal_solve import solve_lenses, solve_without
 
 _FOLDS = 5
 _ROUNDS = 30
+_OUTLIER_SIGMAS = 5.0
+_MOST_LEFT_OUT = 0.05
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,7 @@ class FittedPose:
     ----------
     rt_ref_board : (6,) float64 array
     residuals_px : (lenses, rows, columns, 2) float64 array
-        Projected less observed corners; NaN where not seen.
+        Projected less observed corners; NaN where not seen, or left out.
     weighted_rms : float
         Root mean square of the residuals over their ``sigma_px``, corrected for the pose.
     """
@@ -111,6 +113,8 @@ def fit_board_pose(
     rt_lens_ref: NDArray[np.float64],
     view: BoardView,
     points: NDArray[np.float64],
+    *,
+    outlier_sigmas: float = np.inf,
 ) -> FittedPose:
     """Pose of a board that best explains a view, with the lenses held.
 
@@ -122,6 +126,9 @@ def fit_board_pose(
     view : BoardView
     points : (rows, columns, 3) array
         Corners in the board's frame, mm.
+    outlier_sigmas : float
+        Weighted residual, over the root mean square of all, beyond which a corner is left out, as
+        in a solve; but if that is more than a twentieth of them none is.
 
     Raises
     ------
@@ -130,7 +137,23 @@ def fit_board_pose(
     """
     pose = _first_pose(lenses[0], view, points)
     pose = _refined(lenses, rt_lens_ref, view, points, pose)
-    return _fitted(lenses, rt_lens_ref, view, points, pose)
+    whole = fitted = _fitted(lenses, rt_lens_ref, view, points, pose)
+    most = _MOST_LEFT_OUT * view.seen.any(axis=0).sum()
+    kept = view
+    while (gross := _gross(kept, fitted, outlier_sigmas)).any():
+        kept = kept.without(gross)
+        if view.seen.any(axis=0).sum() - kept.seen.any(axis=0).sum() > most:
+            return whole
+        pose = _refined(lenses, rt_lens_ref, kept, points, fitted.rt_ref_board)
+        fitted = _fitted(lenses, rt_lens_ref, kept, points, pose)
+    return fitted
+
+
+def _gross(view: BoardView, fitted: FittedPose, outlier_sigmas: float) -> NDArray[np.bool_]:
+    """Corners (rows, columns) that lie too far from where a pose has them in some lens."""
+    weighted = np.abs(fitted.residuals_px) / np.stack(view.sigma_px)[..., np.newaxis]
+    limit = outlier_sigmas * fitted.weighted_rms
+    return np.asarray((weighted > limit).any(axis=(0, 3)), np.bool_)
 
 
 def choose_model(
@@ -139,7 +162,7 @@ def choose_model(
     imagers: list[Imager],
     models: Sequence[str],
     *,
-    outlier_sigmas: float = 5.0,
+    outlier_sigmas: float = _OUTLIER_SIGMAS,
 ) -> ModelChoice:
     """Compare lens models by held-out views.
 
@@ -252,10 +275,19 @@ def split_difference(
     return tuple(differences)
 
 
-def heldout_poses(solve: LensSolution, views: list[BoardView]) -> tuple[FittedPose, ...]:
-    """Poses of views that took no part in a solve, with the residuals that they leave."""
+def heldout_poses(
+    solve: LensSolution, views: list[BoardView], *, outlier_sigmas: float = _OUTLIER_SIGMAS
+) -> tuple[FittedPose, ...]:
+    """Poses of views that took no part in a solve, with the residuals that they leave.
+
+    A corner that was found wrongly is left out as a solve leaves it out: it says nothing about the
+    lenses.
+    """
+    given = solve.lenses, solve.rt_lens_ref
     points = solve.board_points
-    return tuple(fit_board_pose(solve.lenses, solve.rt_lens_ref, view, points) for view in views)
+    return tuple(
+        fit_board_pose(*given, view, points, outlier_sigmas=outlier_sigmas) for view in views
+    )
 
 
 def _score(
@@ -273,7 +305,8 @@ def _score(
             out = list(range(fold, len(views), folds))
             names = {views[n].name for n in out}
             solution = solve_without(whole, names, views, outlier_sigmas=outlier_sigmas)
-            poses = heldout_poses(solution, [views[n] for n in out])
+            hidden = [views[n] for n in out]
+            poses = heldout_poses(solution, hidden, outlier_sigmas=outlier_sigmas)
             heldout[out] = [pose.weighted_rms for pose in poses]
     except CalibrationError as error:
         return ModelScore(model, heldout, why=str(error))
