@@ -30,6 +30,7 @@ from workstation.copy_places import held_out_picture, places_beside, relief_pict
 from workstation.json_output import write_json
 from workstation.processing import Processed
 from workstation.quality import Quality
+from workstation.reflectance_processing import comparison_figures
 from workstation.stage_cache import digest_of_files
 
 HELD_OUT_FOLDER = "held-out"
@@ -166,7 +167,7 @@ def _write_comparisons(comparisons: Sequence[Comparison], folder: Path) -> None:
         for what in ("measured", "rendered"):
             picture = _display(getattr(one, what)[here], one.white)
             write_bytes(place / f"{one.name}-{what}.png", picture)
-        rows.append({"name": one.name, "psnr_db": one.psnr_db, "delta_e": one.mean_delta_e})
+        rows.append(comparison_figures(one))
     write_json(folder / HELD_OUT_FILE, rows)
 
 

@@ -64,6 +64,8 @@ BOARD = CharucoBoard(
     dictionary="DICT_5X5_1000",
 )
 _BRACKET_S = (0.004, 0.016, 0.064)
+# For dark paint, whose noise is seen before all other.
+_LONGEST_S = 0.256
 _LOWEST_LAMP = math.radians(20)
 # A board is held well before the wall.
 _BEHIND_BOARD_MM = -120.0
@@ -92,6 +94,8 @@ class DemoCapture:
     places : tuple of str
         Of the camera, for photographs.
     lamp_poses : int
+    exposures_s : tuple of float
+        Of each photograph of the painting.
     clusters : ClusterOptions
         How materials are looked for: a tiny canvas has few texels to look at.
     render_px : (int, int)
@@ -107,6 +111,7 @@ class DemoCapture:
     clusters: ClusterOptions
     render_px: tuple[int, int]
     calibrates: bool
+    exposures_s: tuple[float, ...] = _BRACKET_S
 
     @classmethod
     def of(cls, size: DemoSize) -> DemoCapture:
@@ -121,9 +126,10 @@ class DemoCapture:
                 calibrates=False,
             )
         return cls(
-            camera_width=480,
+            camera_width=640,
             places=("front", "left", "above"),
             lamp_poses=16,
+            exposures_s=(*_BRACKET_S, _LONGEST_S),
             clusters=ClusterOptions(),
             render_px=(800, 600),
             calibrates=True,
@@ -135,10 +141,12 @@ class DemoCapture:
         return demo_rig(seed=seed, camera_width=self.camera_width, sensor=sensor)
 
 
-def photograph_choices(places: tuple[str, ...], lamp_poses: int) -> PhotographChoices:
+def photograph_choices(
+    places: tuple[str, ...], lamp_poses: int, exposures_s: tuple[float, ...] = _BRACKET_S
+) -> PhotographChoices:
     """Photographs of the simulated rig, from each place under as many lights."""
     return PhotographChoices(
-        exposures_s=_BRACKET_S,
+        exposures_s=exposures_s,
         code_exposures_s=(EXPOSURE_S,),
         poses=lamp_poses,
         least_elevation=_LOWEST_LAMP,
@@ -209,7 +217,8 @@ class DemoRecorder:
 
     def record_photographs(self) -> None:
         """Photograph the painting from each place under each light."""
-        choices = photograph_choices(self._capture.places, self._capture.lamp_poses)
+        of = self._capture
+        choices = photograph_choices(of.places, of.lamp_poses, of.exposures_s)
         self._record(PHOTOGRAPHS_SESSION, plan_photographs(self._rig, choices))
         self._restore()
 

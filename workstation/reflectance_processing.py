@@ -12,7 +12,12 @@ from calibration.lens import invert, transform
 from fitting.digital_copy import DigitalCopy
 from fitting.reflectance.back_projection import PhotographSampler, SamplingOptions
 from fitting.reflectance.flags import TexelFlag
-from fitting.reflectance.held_out import Comparison, compare_held_out, pooled_psnr_db
+from fitting.reflectance.held_out import (
+    Comparison,
+    compare_held_out,
+    pooled_noise_psnr_db,
+    pooled_psnr_db,
+)
 from fitting.reflectance.maps import FittedReflectance, MapOptions, fit_maps
 from fitting.reflectance.photographs import Photograph
 from fitting.reflectance.terrain import Terrain
@@ -110,6 +115,17 @@ def surroundings_of(copy: DigitalCopy, surface: Surface | None) -> np.ndarray | 
     return transform(invert(copy.height_field.rt_cam_canvas), beyond)
 
 
+def comparison_figures(one: Comparison) -> dict[str, Any]:
+    """Plain JSON values of a photograph that was kept out."""
+    return {
+        "name": one.name,
+        "psnr_db": one.psnr_db,
+        "delta_e": one.mean_delta_e,
+        "noise_psnr_db": one.noise_psnr_db,
+        "noise_delta_e": one.noise_delta_e,
+    }
+
+
 def _figures(
     sampler: PhotographSampler, fitted: FittedReflectance, comparisons: list[Comparison]
 ) -> dict[str, Any]:
@@ -144,9 +160,8 @@ def _figures(
         figures["held_out"] = {
             "psnr_db": pooled_psnr_db(comparisons),
             "delta_e": float(np.mean([one.mean_delta_e for one in comparisons])),
-            "photographs": [
-                {"name": one.name, "psnr_db": one.psnr_db, "delta_e": one.mean_delta_e}
-                for one in comparisons
-            ],
+            "noise_psnr_db": pooled_noise_psnr_db(comparisons),
+            "noise_delta_e": float(np.mean([one.noise_delta_e for one in comparisons])),
+            "photographs": [comparison_figures(one) for one in comparisons],
         }
     return figures

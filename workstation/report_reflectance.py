@@ -19,6 +19,7 @@ from workstation.report_page import Comparison, Picture, Section, Table
 
 # Of each photograph that was kept out.
 _PICTURES = ("measured", "rendered")
+_DIFFERENCES = ("photograph", "PSNR", "of it noise", "mean ΔE2000", "of it noise")
 
 
 def reflectance_section(copy: DigitalCopy) -> Section:
@@ -117,13 +118,13 @@ def held_out_section(copy_folder: Path) -> Section | None:
     try:
         rows = json.loads(listed.read_text())
         pairs = [_pair(folder, row) for row in rows if _is_whole(folder, row)]
-        heading = ("photograph", "PSNR", "mean ΔE2000")
-        table = tuple(
-            (str(row["name"]), f"{row['psnr_db']:.1f} dB", f"{row['delta_e']:.2f}") for row in rows
-        )
+        table = tuple(_differences(row) for row in rows)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise CopyError(f"{listed}: damaged ({error}); process the session again") from None
-    text = "The fit has not seen these photographs."
+    text = (
+        "The fit has not seen these photographs. What their own noise makes of it is what would be "
+        "left if the copy were perfect."
+    )
     if pairs:
         text += (
             " Move the slider, with the mouse or the arrow keys: the photograph is to its left, "
@@ -134,8 +135,16 @@ def held_out_section(copy_folder: Path) -> Section | None:
     return Section(
         "Photographs kept out",
         text,
-        tables=(Table(table, heading),),
+        tables=(Table(table, _DIFFERENCES),),
         comparisons=tuple(pairs),
+    )
+
+
+def _differences(row: dict[str, Any]) -> tuple[str, ...]:
+    return (
+        str(row["name"]),
+        *(f"{row[name]:.1f} dB" for name in ("psnr_db", "noise_psnr_db")),
+        *(f"{row[name]:.2f}" for name in ("delta_e", "noise_delta_e")),
     )
 
 

@@ -25,6 +25,7 @@ from fitting.reflectance.terrain import Terrain
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 _WHITE_PERCENTILE = 99.9
+_NOISE_SEED = 0
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,8 @@ class Comparison:
         Linear, over pixels and channels of the canvas, with ``white`` as the peak.
     delta_e : (rows, cols) float32 array
         CIEDE2000, ``white`` being (1, 1, 1); NaN where either has no value.
+    noise_psnr_db, noise_delta_e : float
+        What the photograph's own noise would leave of a perfect rendering: PSNR, and mean ΔE.
     """
 
     name: str
@@ -50,6 +53,8 @@ class Comparison:
     white: float
     psnr_db: float
     delta_e: Singles
+    noise_psnr_db: float
+    noise_delta_e: float
 
     @property
     def mean_delta_e(self) -> float:
@@ -60,6 +65,11 @@ class Comparison:
     def squared_error(self) -> float:
         """Mean squared error over the squared peak."""
         return float(10.0 ** (-0.1 * self.psnr_db))
+
+    @property
+    def squared_noise(self) -> float:
+        """What of :attr:`squared_error` the photograph's noise is expected to make."""
+        return float(10.0 ** (-0.1 * self.noise_psnr_db))
 
     def worst_blocks(self, *, block: int, number: int) -> list[tuple[int, int, float]]:
         """Row, column and mean squared error over the squared peak of the worst squares."""
@@ -76,8 +86,14 @@ class Comparison:
         return np.asarray(np.minimum(getattr(self, name), np.float32(self.white)))
 
 
-def compare(measured: Singles, rendered: Singles, *, name: str) -> Comparison:
-    """Compare a photograph (rows, cols, 3) with its rendering, where both have values.
+def compare(measured: Singles, variance: Singles, rendered: Singles, *, name: str) -> Comparison:
+    """Compare a photograph (rows, cols, 3) of known noise with its rendering, where both are.
+
+    Parameters
+    ----------
+    measured, variance, rendered : (rows, cols, 3) float32 arrays
+        Linear radiance, the variance of its noise, and the rendering; NaN where there is none.
+    name : str
 
     Raises
     ------
@@ -94,14 +110,24 @@ def compare(measured: Singles, rendered: Singles, *, name: str) -> Comparison:
     error = float(np.mean((here - there) ** 2))
     delta = np.full(both.shape, np.nan, np.float32)
     delta[both] = colour_difference(np.maximum(here, 0.0), np.maximum(there, 0.0))
+    # A value at the peak is there whatever its noise.
+    noise = np.where(here < 1.0, np.sqrt(np.maximum(variance[both], 0.0)) / white, 0.0)
+    drawn = np.random.default_rng(_NOISE_SEED).standard_normal(noise.shape)
+    again = np.clip(here + noise * drawn, 0.0, 1.0)
     return Comparison(
         name,
         np.where(both[..., np.newaxis], measured, np.nan),
         np.where(both[..., np.newaxis], rendered, np.nan),
         white,
-        -10.0 * float(np.log10(max(error, 1e-15))),
+        _decibels(error),
         delta,
+        _decibels(float(np.mean(noise**2))),
+        float(np.mean(colour_difference(np.maximum(here, 0.0), again))),
     )
+
+
+def _decibels(squared_error: float) -> float:
+    return -10.0 * float(np.log10(max(squared_error, 1e-15)))
 
 
 class Relighting:
@@ -189,7 +215,7 @@ class Relighting:
         rendered = self.rendered(photograph)
         if photograph.mosaic is not None:
             rendered = halved(rendered, photograph.channels)
-        return compare(photograph.colour_planes()[0], rendered, name=photograph.name)
+        return compare(*photograph.colour_planes(), rendered, name=photograph.name)
 
 
 def compare_held_out(
@@ -208,4 +234,9 @@ def compare_held_out(
 
 def pooled_psnr_db(comparisons: Sequence[Comparison]) -> float:
     """PSNR of all photographs together, each relative to its own peak."""
-    return -10.0 * float(np.log10(np.mean([one.squared_error for one in comparisons])))
+    return _decibels(float(np.mean([one.squared_error for one in comparisons])))
+
+
+def pooled_noise_psnr_db(comparisons: Sequence[Comparison]) -> float:
+    """The same of a perfect copy, by the noise of the photographs alone."""
+    return _decibels(float(np.mean([one.squared_noise for one in comparisons])))

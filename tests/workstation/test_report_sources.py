@@ -155,7 +155,8 @@ def test_a_copy_that_makes_no_sense_of_its_making_is_refused(damage):
 
 
 def test_photographs_kept_out_are_listed_without_their_pictures_too(tmp_path):
-    rows = [{"name": name, "psnr_db": 30.0, "delta_e": 2.0} for name in ("front", "left")]
+    figures = {"psnr_db": 30.0, "delta_e": 2.0, "noise_psnr_db": 40.0, "noise_delta_e": 1.0}
+    rows = [{"name": name} | figures for name in ("front", "left")]
     (tmp_path / HELD_OUT_FILE).write_text(json.dumps(rows))
     section = held_out_section(tmp_path)
     assert [row[0] for row in section.tables[0].rows] == ["front", "left"]

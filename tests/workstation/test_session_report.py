@@ -112,6 +112,7 @@ def copy(tmp_path_factory):
         picture = np.full((60, 80, 3), 90, np.uint8)
         cv2.imwrite(str(folder / HELD_OUT_FOLDER / f"front-0003-{kind}.png"), picture)
     row = {"name": "front-0003", "psnr_db": 31.4, "delta_e": 2.5}
+    row |= {"noise_psnr_db": 44.0, "noise_delta_e": 0.8}
     (folder / HELD_OUT_FILE).write_text(json.dumps([row]))
     return folder
 

@@ -34,7 +34,7 @@ CURVES = "curves"
 PARTS = (CURVES, *(f"skips of {name}" for name in PAINTINGS))
 CURVE_FILE = "quality-curve.json"
 _CURVE_PAINTING = PAINTINGS[0]
-# As in the demo: on smaller canvases looking for materials outweighs all else.
+# On smaller canvases looking for materials outweighs all else.
 _CURVE_WIDTH = 480
 _USUAL = Capture()
 
