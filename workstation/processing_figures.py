@@ -85,6 +85,8 @@ def errors_by_stage(figures: dict[str, Any]) -> dict[str, Any]:
         "reflectance_residual": reflectance["residual_median"],
         "heldout_psnr_db": held_out.get("psnr_db"),
         "heldout_delta_e": held_out.get("delta_e"),
+        "heldout_noise_psnr_db": held_out.get("noise_psnr_db"),
+        "heldout_noise_delta_e": held_out.get("noise_delta_e"),
     }
 
 

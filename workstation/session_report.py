@@ -39,6 +39,7 @@ def write_session_report(
     copy_folder: Path,
     path: Path,
     *,
+    name: str | None = None,
     session: Session | None = None,
     photographs: Session | None = None,
     calibration: Path | None = None,
@@ -56,6 +57,8 @@ def write_session_report(
     copy_folder : Path
     path : Path
         The page.
+    name : str, optional
+        What the copy is called, by default after its folder.
     session : Session, optional
         What the copy was made from, for what was captured and how it was calibrated.
     photographs : Session, optional
@@ -120,7 +123,7 @@ def write_session_report(
     width, height = copy.height_field.size_mm
     write_page(
         path,
-        title=f"A digital copy: {copy_title(copy_folder)}",
+        title=f"A digital copy: {name or copy_title(copy_folder)}",
         summary=(
             f"{width:.0f} × {height:.0f} mm of canvas in {int(copy.height_field.mask.sum())} "
             f"texels of {copy.height_field.pitch_mm:.3f} mm, made by "
@@ -298,18 +301,22 @@ def _errors(copy: DigitalCopy) -> Section:
 
 
 def _reflectance_errors(errors: dict[str, Any]) -> list[tuple[str, ...]]:
+    kept_out = "photographs kept out of the fit"
+    # What noise alone would leave of photographs is what is predicted of them.
     named = (
-        ("misplacement of texture by registration", "registration_texture_px", "{:.4f} px"),
-        ("residual of radiance over irradiance, median", "reflectance_residual", "{:.4f} 1/sr"),
-        ("photographs kept out of the fit, PSNR", "heldout_psnr_db", "{:.1f} dB"),
-        ("photographs kept out of the fit, mean ΔE2000", "heldout_delta_e", "{:.2f}"),
+        ("misplacement of texture by registration", "registration_texture_px", "", "{:.4f} px"),
+        ("residual of radiance over irradiance, median", "", "reflectance_residual", "{:.4f} 1/sr"),
+        (f"{kept_out}, PSNR", "heldout_noise_psnr_db", "heldout_psnr_db", "{:.1f} dB"),
+        (f"{kept_out}, mean ΔE2000", "heldout_noise_delta_e", "heldout_delta_e", "{:.2f}"),
     )
-    predicted = {"registration_texture_px"}
-    rows: list[tuple[str, ...]] = []
-    for title, name, form in named:
-        if isinstance(errors.get(name), float):
-            said = form.format(errors[name])
-            rows.append((title, said, "", "") if name in predicted else (title, "", said, ""))
+    rows = []
+    for title, predicted, observed, form in named:
+        said = [
+            form.format(errors[name]) if isinstance(errors.get(name), float) else ""
+            for name in (predicted, observed)
+        ]
+        if any(said):
+            rows.append((title, *said, ""))
     return rows
 
 

@@ -68,6 +68,7 @@ def test_its_report_has_every_part_and_the_copy_its_reflectance(made):
     ):
         assert f"<h2>{part}</h2>" in page
     assert page.count('type="range"') == 2
+    assert "in-progress" not in page
     copy = read_copy(made / "copy")
     assert copy.reflectance is not None
     # Paint is no brighter than white, and no darker than soot.

@@ -28,6 +28,8 @@ ERRORS = {
     "height_noise": {"observed_mm": 0.03, "predicted_mm": 0.02, "samples": 9},
     "height_sigma_mm": 0.01,
     "calibration_uncertainty": {"height_sigma_mm": 0.004},
+    "heldout_psnr_db": 31.25,
+    "heldout_noise_psnr_db": 45.5,
     "canvas_shape": {
         f"{n}{s}_mm": 0.1 for n in ("bow_x", "bow_y", "twist") for s in ("", "_sigma")
     },
@@ -145,6 +147,7 @@ def test_the_page_tells_everything_and_asks_for_nothing(report, session):
     assert {a[1:] for a in page.addresses if a.startswith("#")} <= page.anchors
     text = page.said
     wanted = ("two canvases & one frame", "<somewhere>", "1.50", "30.0 µm", "20.0 µm", "4.0 µm")
+    wanted += ("31.2 dB", "45.5 dB")
     for word in (
         *wanted,
         "4.2 s spared",
