@@ -14,7 +14,7 @@ from devices.bayer import BayerPattern
 from devices.interfaces import ArmPose
 from workstation.light_calibration import CalibratedLights, LightOptions, calibrate_lights
 from workstation.radiometry_sections import camera_curves, colour_patches, projector_curve
-from workstation.report_sections import ReportSections
+from workstation.report_sections import ColourPatch, ReportSections, ResponseCurve
 
 LAMPS_FILE = "lamps.json"
 
@@ -57,6 +57,32 @@ def poses_of(session: Session) -> list[ArmPose]:
 
 
 @dataclass(frozen=True)
+class Radiometry:
+    """What sessions of greys and of a colour chart show, for the report.
+
+    Attributes
+    ----------
+    projector : ResponseCurve or None
+    colours : tuple of ColourPatch
+    """
+
+    projector: ResponseCurve | None
+    colours: tuple[ColourPatch, ...]
+
+    def sections(self, lights: CalibratedLights | None) -> ReportSections:
+        """Parts of the report, with a light arm that was calibrated."""
+        responses = [] if self.projector is None else [self.projector]
+        if lights is not None:
+            responses += camera_curves(lights.white, lights.target.block)
+        return ReportSections(
+            lights=None if lights is None else lights.section(),
+            responses=tuple(responses),
+            colours=self.colours,
+            flat_field=None if lights is None else lights.flat_field,
+        )
+
+
+@dataclass(frozen=True)
 class Extras:
     """Sessions beside those of the board.
 
@@ -76,14 +102,15 @@ class Extras:
     chart: Path | None
     mosaic: BayerPattern | None
 
-    def sections(self, lights: CalibratedLights | None) -> ReportSections:
-        """Parts of the report, with a light arm that was calibrated."""
-        responses = [projector_curve(self.greys)] if self.greys else []
-        if lights is not None:
-            responses += camera_curves(lights.white, lights.target.block)
-        return ReportSections(
-            lights=None if lights is None else lights.section(),
-            responses=tuple(responses),
-            colours=() if self.chart is None else colour_patches(self.chart, mosaic=self.mosaic),
-            flat_field=None if lights is None else lights.flat_field,
+    def radiometry(self) -> Radiometry:
+        """Measure greys and chart.
+
+        Raises
+        ------
+        ImpastoError
+            A session does not show them.
+        """
+        return Radiometry(
+            projector_curve(self.greys) if self.greys else None,
+            () if self.chart is None else colour_patches(self.chart, mosaic=self.mosaic),
         )

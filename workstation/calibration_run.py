@@ -146,6 +146,8 @@ def run_calibration(asked: RigAsked, extras: Extras, *, report: Path | None) -> 
     SessionError
         A session of the board is damaged.
     """
+    # The shortest first: what is wrong with it shall not come after minutes of calibration.
+    radiometry = extras.radiometry()
     found = find_sessions(asked.sessions)
     # One for each pose, and what follows: solving, validating, propagating; perhaps the surface.
     total = len(found) + 3 + asked.options.board_shape + (report is not None)
@@ -184,7 +186,7 @@ def run_calibration(asked: RigAsked, extras: Extras, *, report: Path | None) -> 
             write_report(
                 rig,
                 report,
-                sections=extras.sections(lights),
+                sections=radiometry.sections(lights),
                 figures=figures,
                 light_gates=None if lights is None else lights.gates,
             )
@@ -209,6 +211,7 @@ def run_light_calibration(rig: Path, extras: Extras, *, report: Path | None) -> 
     """
     if extras.lights is None:
         raise CalibrationError("no photographs of spheres to calibrate lights from are named")
+    radiometry = extras.radiometry()
     with progress("calibrating the lights", total=4) as steps:
 
         def begin(stage: str) -> None:
@@ -217,5 +220,5 @@ def run_light_calibration(rig: Path, extras: Extras, *, report: Path | None) -> 
 
         lights = extras.lights.calibrate(RigGeometry.load(rig), begin=begin)
         if report is not None:
-            write_light_report(lights, extras.sections(lights), report)
+            write_light_report(lights, radiometry.sections(lights), report)
     return lights

@@ -197,6 +197,9 @@ def test_a_model_that_there_is_none_of_is_refused_at_once_even_beside_a_good_one
     assert "LENSMODEL_NONSENSE is no lens model that can be solved for; there are" in done.stderr
 
 
+POSE = "a pose of the board"
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -205,13 +208,15 @@ def test_a_model_that_there_is_none_of_is_refused_at_once_even_beside_a_good_one
         (("--report", "report", "--greys", "nowhere"), "nowhere: no such session"),
         (("--greys", "nowhere"), "--greys and --chart are shown in the report: name --report"),
         (("--earlier", "."), "holds no calibration of camera and projector"),
+        (("--report", "report", "--chart", POSE), "name the order of its colours with --mosaic"),
     ],
 )
 def test_what_cannot_be_read_or_written_is_refused_before_the_solve(
     poses, tmp_path, options, message
 ):
-    done = impasto("calibrate", poses, *BOARD, *options, cwd=tmp_path)
-    assert done.returncode in (2, 3)
+    named = [poses / "pose-1" if option is POSE else option for option in options]
+    done = impasto("calibrate", poses, *BOARD, *named, cwd=tmp_path)
+    assert done.returncode in (2, 3, 5)
     assert message in re.sub(r"[\s│]+", " ", done.stderr)
     assert not list(tmp_path.iterdir())
 
