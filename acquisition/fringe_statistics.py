@@ -25,6 +25,7 @@ from scipy import special
 
 from acquisition.frame_files import Samples
 from acquisition.fringes import Fringe
+from acquisition.robust_spread import MEDIAN_TO_SIGMA
 from acquisition.unwrapping import certainty_sigmas
 
 # The noise model itself is taken to be known to so much.
@@ -42,7 +43,6 @@ _SUSPECT_RESIDUAL = 0.005
 _PHASE_BINS = 16
 _MANY_PERIODS = 8
 _LEAST_OF_A_BIN = 8
-MEDIAN_TO_SIGMA = 1.4826
 
 
 def squares_limit(fringe: Fringe, false_alarm: float) -> float:

@@ -22,8 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
 from acquisition.fringes import Fringe
+from acquisition.robust_spread import robust_spread
 
 # Multiples of the number of steps that are fitted, and the highest order worth fitting.
 _MULTIPLES = 5
@@ -307,7 +307,7 @@ def _robust_fit(
     scale = 1.0
     for _ in range(_ITERATIONS):
         residual = observed - design @ solution
-        scale = MEDIAN_TO_SIGMA * float(np.median(np.abs(residual - np.median(residual)))) + 1e-12
+        scale = robust_spread(residual) + 1e-12
         far = residual / (_TUKEY * scale)
         weight = np.square(np.clip(1.0 - far * far, 0.0, None))
         weighted = design * weight[:, np.newaxis]

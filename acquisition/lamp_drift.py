@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from acquisition.frame_files import Samples
-from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
 from acquisition.plan import PlannedFrame, Purpose
+from acquisition.robust_spread import robust_sigma
 from acquisition.session import Session
 
 # Below this share of what saturates, noise would decide.
@@ -81,7 +81,7 @@ def _ratio(
         return None
     ratios = (image[valid] - black_level) / (reference[valid] - black_level)
     median = float(np.median(ratios))
-    spread = MEDIAN_TO_SIGMA * float(np.median(np.abs(ratios - median)))
+    spread = robust_sigma(ratios - median)
     # The median of normal samples has π/2 times the variance of their mean.
     return median, float(np.sqrt(np.pi / 2 / ratios.size)) * spread
 

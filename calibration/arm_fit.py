@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
+from acquisition.robust_spread import robust_sigma
 from calibration.arm_geometry import ArmParameters
 from calibration.errors import CalibrationError
 from calibration.incidence_law import TERMS, incidence_factor
@@ -230,7 +230,7 @@ class ArmProblem:
         predicted = self.of_any_law()._suited(self.split(numbers)[0])
         known = np.isfinite(shading.radiance) & (shading.radiance > 0) & (predicted > 0)
         off = np.log(np.where(known, shading.radiance, 1) / np.where(known, predicted, 1))
-        spread = MEDIAN_TO_SIGMA * float(np.median(np.abs(off[known])))
+        spread = robust_sigma(off[known])
         far = known & (np.abs(off) > max(_SHADOW_SIGMAS * spread, _LEAST_SHADOW))
         if not 0 < far.sum() < _SHADOWED * known.sum():
             return self

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.correspondence import CorrespondenceMap
-from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
 from acquisition.patterns import Axis
+from acquisition.robust_spread import robust_sigma
 from calibration.errors import CalibrationError
 
 _TUKEY = 5.0
@@ -174,7 +174,7 @@ def _fit(
         normal = weighted.T @ weighted
         solution = np.linalg.lstsq(normal, weighted.T @ (observed * robust), rcond=None)[0]
         residual = (observed - design @ solution) * weight
-        scale = MEDIAN_TO_SIGMA * float(np.median(np.abs(residual))) + 1e-9
+        scale = robust_sigma(residual) + 1e-9
         robust = weight * np.clip(1 - (residual / (_TUKEY * scale)) ** 2, 0, None)
     # Means of blocks: with white noise their squares, weighted, are 1 on average.
     total = np.bincount(block, robust**2)

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from acquisition.correspondence import CorrespondenceMap
-from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
 from acquisition.patterns import Axis
+from acquisition.robust_spread import robust_sigma
 from calibration.boards import Chessboard
 from calibration.errors import CalibrationError
 from calibration.lens import transform
@@ -315,9 +315,7 @@ def _on_surface(on_board: NDArray[np.float64], where: NDArray[np.bool_]) -> NDAr
         weight = 1 / np.maximum(np.abs(z[some] - terms[some] @ fit), 1e-4)
     for _ in range(3):
         off = z - terms @ fit
-        kept = np.abs(off) <= max(
-            _OFF_SIGMAS * MEDIAN_TO_SIGMA * float(np.median(np.abs(off))), _LEAST_OFF_MM
-        )
+        kept = np.abs(off) <= max(_OFF_SIGMAS * robust_sigma(off), _LEAST_OFF_MM)
         fit = np.linalg.lstsq(terms[kept], z[kept], rcond=None)[0]
     near[where] = kept
     return near
@@ -369,4 +367,4 @@ def _without_polynomial(height: NDArray[np.float64], degree: int) -> NDArray[np.
 def _white_noise(height: NDArray[np.float64]) -> float:
     second = height[:, 2:] - 2 * height[:, 1:-1] + height[:, :-2]
     second = second[np.isfinite(second)]
-    return float(MEDIAN_TO_SIGMA * np.median(np.abs(second)) / np.sqrt(6))
+    return float(robust_sigma(second) / np.sqrt(6))

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
+from acquisition.robust_spread import robust_sigma
 from calibration.errors import CalibrationError
 
 # CIE L*a*b* (D50, 2°) of the ColorChecker Classic's patches, row by row from dark skin, as X-Rite
@@ -161,7 +161,7 @@ def _measure(
         raise CalibrationError("a patch of the colour chart is saturated: expose for less time")
     # A speck of dust is no colour.
     usual = np.median(samples, axis=0)
-    spread = MEDIAN_TO_SIGMA * np.median(np.abs(samples - usual), axis=0)
+    spread = robust_sigma(samples - usual, axis=0)
     keep = (np.abs(samples - usual) <= 4 * spread + 1e-12).all(axis=1)
     kept = samples[keep] if keep.sum() >= _LEAST_PIXELS else samples
     return kept.mean(axis=0), kept.std(axis=0, ddof=1) / np.sqrt(len(kept))

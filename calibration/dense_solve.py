@@ -31,7 +31,7 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
+from acquisition.robust_spread import nan_robust_sigma
 from calibration.board_shape import shears, similarities
 from calibration.board_surface import SplineGrid
 from calibration.boards import Chessboard
@@ -153,10 +153,6 @@ class _Weights:
     reach: float  # of Tukey's function, in standard deviations
 
 
-def _spread(residual: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(MEDIAN_TO_SIGMA * np.nanmedian(np.abs(residual), axis=0))
-
-
 def _robust(
     residual: NDArray[np.float64], sigma: NDArray[np.float64], reach: float
 ) -> NDArray[np.float64]:
@@ -170,7 +166,7 @@ def _weights(problem: DenseProblem, state: DenseState, reach: float) -> _Weights
     views = range(len(state.poses))
     left = [surface_equations(problem, state, v, derivatives=False).residual for v in views]
     noise = np.median(np.concatenate([s.variance for s in problem.samples]), axis=0)
-    floor = np.sqrt(np.maximum(_spread(np.concatenate(left)) ** 2 - noise, 0))
+    floor = np.sqrt(np.maximum(nan_robust_sigma(np.concatenate(left), axis=0) ** 2 - noise, 0))
     means = []
     for residual, samples in zip(left, problem.samples, strict=True):
         sigma = np.sqrt(samples.variance + floor**2)
@@ -187,7 +183,7 @@ def _weights(problem: DenseProblem, state: DenseState, reach: float) -> _Weights
     corners = np.concatenate([corner_equations(problem, state, v).residual for v in views])
     # Each corner's place is fitted to one residual in so many.
     spent = len(views) / (len(views) - 1)
-    corner = float(np.sqrt(np.mean(_spread(corners) ** 2) * spent))
+    corner = float(np.sqrt(np.mean(nan_robust_sigma(corners, axis=0) ** 2) * spent))
     return _Weights(floor, np.array(alike), corner, reach)
 
 
@@ -324,6 +320,6 @@ def _solved(
         corner_sigma_mm=sigma.reshape(problem.board.points.shape),
         skew=printed_skew(grid, state.displacement.reshape(-1, 2), placed),
         covariance=covariance[kept, kept],
-        sample_rms_px=np.array([_spread(residual) for residual in left]),
-        corner_rms_px=np.array([np.sqrt(np.mean(_spread(r) ** 2)) for r in seen]),
+        sample_rms_px=np.array([nan_robust_sigma(residual, axis=0) for residual in left]),
+        corner_rms_px=np.array([np.sqrt(np.mean(nan_robust_sigma(r, axis=0) ** 2)) for r in seen]),
     )

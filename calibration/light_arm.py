@@ -23,7 +23,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
+from acquisition.robust_spread import nan_robust_sigma
 from calibration.arm_fit import CHANCE, INTENSITY, LAMP, ArmProblem, SphereHighlights, TargetShading
 from calibration.arm_geometry import ArmParameters, initial_arm
 from calibration.errors import CalibrationError
@@ -167,7 +167,7 @@ def fit_light_arm(
     numbers = base.minimise(numbers)
     misses = base.misses(numbers)
     wild = np.sqrt(np.nansum(misses**2, axis=2)) > _OUTLIER_SIGMAS * max(
-        1.0, MEDIAN_TO_SIGMA * float(np.nanmedian(np.abs(misses)))
+        1.0, nan_robust_sigma(misses)
     )
     if wild.any():
         base = base.of_highlights(wild)

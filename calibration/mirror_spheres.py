@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
+from acquisition.robust_spread import robust_sigma, robust_spread
 from calibration.errors import CalibrationError
 from calibration.lens import Lens
 
@@ -123,7 +123,7 @@ def sphere_from_outline(
             )
         w, *_ = np.linalg.lstsq(rays[use], np.ones(int(use.sum())), rcond=None)
         off = rays @ w - 1
-        spread = MEDIAN_TO_SIGMA * np.median(np.abs(off[use] - np.median(off[use])))
+        spread = robust_spread(off[use])
         kept = np.abs(off) <= _OUTLIER * max(spread, 1e-12)
         if (kept == use).all():
             break
@@ -248,7 +248,7 @@ def find_highlight(
     if not disc.any() or not np.isfinite(image[disc]).all():
         raise CalibrationError("no finite picture of the sphere where it was said to be")
     floor = float(np.median(image[disc]))
-    noise = MEDIAN_TO_SIGMA * float(np.median(np.abs(image[disc] - floor)))
+    noise = robust_sigma(image[disc] - floor)
     top = min(float(image[disc].max()), saturation)
     level = floor + _SPOT_LEVEL * (top - floor)
     if top - floor < 12 * max(noise, 1e-12):

@@ -34,8 +34,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from acquisition.correspondence import AxisCoordinate, CorrespondenceMap
-from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
 from acquisition.patterns import Axis
+from acquisition.robust_spread import robust_sigma
 from calibration.errors import CalibrationError
 
 ORDERS = (1, 2, 3, 4, 5, 6, 9)
@@ -258,7 +258,7 @@ def _robust_fit(
 
 
 def _scale(residual: NDArray[np.float64]) -> float:
-    return MEDIAN_TO_SIGMA * float(np.median(np.abs(residual))) + 1e-12
+    return robust_sigma(residual) + 1e-12
 
 
 def _tukey(residual: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
+from acquisition.robust_spread import nan_robust_sigma
 from calibration.board_shape import BoardShape
 from calibration.cross_validation import CalibrationDifference, calibration_difference
 from calibration.dense_solution import DenseSolution
@@ -145,8 +145,7 @@ def _as_left_by(
     observed = np.array([view.pixels for view in views])
     left = dense.project_corners() - observed
     # The projector's corners take no part: they are held out, and none is too far off to count.
-    size = np.abs(left[:, 0])
-    far = size > _OUTLIER_SIGMAS * MEDIAN_TO_SIGMA * np.nanmedian(size)
+    far = np.abs(left[:, 0]) > _OUTLIER_SIGMAS * nan_robust_sigma(left[:, 0])
     outliers = np.zeros(left.shape[:-1], np.bool_)
     outliers[:, 0] = far.any(axis=-1)
     kept = np.isfinite(left[..., 0]) & ~outliers

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
+from acquisition.robust_spread import robust_sigma
 from calibration.arm_fit import TargetShading
 from calibration.arm_photographs import ArmPhotographs
 from calibration.errors import CalibrationError
@@ -184,9 +184,8 @@ def _plane(
     length = np.linalg.norm(normals, axis=1)
     normals, corners = normals[length > 0] / length[length > 0, None], corners[length > 0]
     off = np.abs(np.einsum("kni,ki->kn", some[None] - corners[:, :1], normals))
-    spreads = np.median(off, axis=1)
-    best = int(spreads.argmin())
-    kept = off[best] < 4 * MEDIAN_TO_SIGMA * spreads[best] + 1e-9
+    best = int(np.median(off, axis=1).argmin())
+    kept = off[best] < 4 * robust_sigma(off[best]) + 1e-9
     return _least_squares_plane(some[kept])
 
 
@@ -258,7 +257,7 @@ def _evenly_lit(means: NDArray[np.float64], pixels: NDArray[np.float64]) -> NDAr
         logs = np.log(np.where(lit, level, 1.0))
         found = np.linalg.lstsq(terms[lit], logs[lit], rcond=None)[0]
         off = logs - terms @ found
-        spread = MEDIAN_TO_SIGMA * float(np.median(np.abs(off[lit])))
+        spread = robust_sigma(off[lit])
         dark = lit & (off < -max(_SHADOW_SIGMAS * spread, _LEAST_SHADOW))
         if not dark.any():
             return lit

@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
+from acquisition.robust_spread import MEDIAN_TO_SIGMA, robust_sigma
 from calibration.lens import rt_from_matrix
 from fitting.canvas_kernels import find_smooth, heights_above_plane
 from fitting.canvas_region import disc, erode_outline, find_region, outline_pixels
@@ -227,7 +227,7 @@ def _trimmed_plane(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], ND
         centre, normal = _plane(kept)
         off = (thin - centre) @ normal
         middle = np.median(off)
-        spread = MEDIAN_TO_SIGMA * np.median(np.abs(off - middle))
+        spread = robust_sigma(off - middle)
         inside = np.abs(off - middle) <= 4 * spread + 1e-12
         if inside.sum() == len(kept) or inside.sum() < 10:
             break

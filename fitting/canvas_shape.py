@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
+from acquisition.robust_spread import MEDIAN_TO_SIGMA
 from fitting.height_field import HeightField
 
 _BLOCKS = 32

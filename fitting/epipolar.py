@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
+from acquisition.robust_spread import robust_sigma
 from calibration.rig_geometry import RigGeometry
 from fitting.depth_solver import (
     PanelCorrection,
@@ -72,7 +72,7 @@ def align_axes(sightings: PanelSightings, rig: RigGeometry) -> Alignment:
     for _ in range(8):
         left = off[used] - terms[used] @ model
         left -= np.median(left) if not model.any() else 0.0
-        limit = min(limit, max(4 * MEDIAN_TO_SIGMA * float(np.median(np.abs(left))), 0.1))
+        limit = min(limit, max(4 * robust_sigma(left), 0.1))
         inside = used[np.abs(left) <= limit]
         if len(inside) < 10 * len(model):
             return none

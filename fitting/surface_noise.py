@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
+from acquisition.robust_spread import robust_spread
 from fitting.canvas import Canvas
 from fitting.height_field import CORRELATION_REACH
 from fitting.range_image import RangeImage
@@ -67,8 +67,7 @@ def second_difference_noise(
     second, expected = second[there], expected[there]
     if not len(second):
         return SurfaceNoise(float("nan"), float("nan"), 0)
-    spread = MEDIAN_TO_SIGMA * np.median(np.abs(second - np.median(second)))
-    return SurfaceNoise(float(spread), float(np.sqrt(np.median(expected))), len(second))
+    return SurfaceNoise(robust_spread(second), float(np.sqrt(np.median(expected))), len(second))
 
 
 def slope_error_ratio(correlation: NDArray[np.float64]) -> float:

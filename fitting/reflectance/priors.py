@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
+from acquisition.robust_spread import MEDIAN_TO_SIGMA, robust_sigma
 from fitting.reflectance.materials import Material
 from fitting.reflectance.samples import RadianceSamples
 from fitting.reflectance.shared_lobe import PooledProblem, fit_pooled
@@ -49,7 +49,7 @@ def gaussian_population(
     p = estimates.shape[1]
     floor = np.diag(smallest_sd**2)
     mean = np.median(estimates, axis=0)
-    spread = MEDIAN_TO_SIGMA * np.median(np.abs(estimates - mean), axis=0)
+    spread = robust_sigma(estimates - mean, axis=0)
     covariance = np.diag(np.maximum(spread, smallest_sd) ** 2)
     for _ in range(_ITERATIONS):
         gain = covariance @ np.linalg.inv(covariance + covariances)
@@ -150,7 +150,7 @@ def with_varying_highlight(
     if known.sum() < _FEWEST_TEXELS:
         return material
     mean = np.median(values[known], axis=0)
-    spread = MEDIAN_TO_SIGMA * np.median(np.abs(values[known] - mean), axis=0)
+    spread = robust_sigma(values[known] - mean, axis=0)
     smallest = _SMALLEST_SPECULAR_SD * max(float(mean.max()), 1e-300)
     return replace(varying, specular_mean=mean, specular_sd=np.maximum(spread, smallest))
 

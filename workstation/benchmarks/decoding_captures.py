@@ -14,9 +14,9 @@ from acquisition.decoding import DecodingOptions, decode
 from acquisition.errors import DecodingError
 from acquisition.foreign_capture import find_capture, read_picture
 from acquisition.frame_files import Samples
-from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
 from acquisition.patterns import Axis, Gray, PhaseShift
 from acquisition.plan import Plan
+from acquisition.robust_spread import robust_sigma
 from workstation.benchmark_records import Record, Sense
 
 _DESCRIPTIONS = Path(__file__).parents[2] / "fixtures" / "captures"
@@ -78,7 +78,7 @@ def _smooth(coordinate: NDArray[np.float64], valid: NDArray[np.bool_]) -> NDArra
     for _ in range(8):
         solution = np.linalg.lstsq(used[keep], observed[keep], rcond=None)[0]
         left = np.abs(observed - used @ solution)
-        keep = left < max(5 * MEDIAN_TO_SIGMA * float(np.median(left[keep])), 3.0)
+        keep = left < max(5 * robust_sigma(left[keep]), 3.0)
     return np.asarray(terms @ solution)
 
 
