@@ -6,17 +6,16 @@ See :mod:`calibration.light_arm` for the model and for what is made of the fit.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.robust_spread import robust_sigma
 from calibration.arm_geometry import ArmParameters
 from calibration.errors import CalibrationError
-from calibration.incidence_law import TERMS, incidence_factor
-from calibration.lamp import fall_off
 from calibration.lens import Lens
 from calibration.mirror_spheres import MirrorSphere
+from calibration.target_shading import CHANCE, LitTarget, TargetShading
 from devices.interfaces import ArmPose
 
 # In scales of its own covariance the problem is nearly round: new ones are better than more steps.
@@ -26,17 +25,9 @@ _ROUNDS = 30
 _CONTRADICT = "its highlights or the target's radiance contradict one another"
 _STEP = 1e-6
 _PIXEL_STEP = 0.01
-_LEAST_GAIN = 1e-6
 # Those of an arm's numbers that are the lamp's: aim, intensity and exponent.
 LAMP = slice(10, 17)
 INTENSITY = slice(13, 16)
-# A sample of the target that is off by more than all and than this, as a logarithm, is in a shadow;
-# more of them than this share are no shadow.
-_SHADOW_SIGMAS = 6.0
-_LEAST_SHADOW = 0.03
-_SHADOWED = 0.05
-# Chance below which a misfit is not taken for noise.
-CHANCE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -55,39 +46,6 @@ class SphereHighlights:
     sphere: MirrorSphere
     pixels: NDArray[np.float64]
     sigma_px: float
-
-
-@dataclass(frozen=True)
-class TargetShading:
-    """Radiance of a flat white target under the lamp at each pose.
-
-    Attributes
-    ----------
-    points : (n, 3) float64 array
-        Of the target, in the rig's frame, mm.
-    normal : (3,) float64 array
-        Unit, towards the lamp.
-    radiance : (poses, n, 3) float64 array
-        Linear RGB relative to the white reference; NaN where there is none.
-    sigma : (poses, n, 3) float64 array
-    albedo : float
-        Of the target, which is matt.
-    gains_unknown : bool
-        Whether each point's radiance is known up to a factor only, the same under all poses and 1
-        on average: a camera's vignetting, an uneven target.
-    """
-
-    points: NDArray[np.float64]
-    normal: NDArray[np.float64]
-    radiance: NDArray[np.float64]
-    sigma: NDArray[np.float64]
-    albedo: float = 1.0
-    gains_unknown: bool = False
-
-    @property
-    def is_monochrome(self) -> bool:
-        """Whether the three channels are one, their variances tripled."""
-        return np.array_equal(self.radiance[..., 0], self.radiance[..., 1], equal_nan=True)
 
 
 @dataclass(frozen=True)
@@ -127,6 +85,11 @@ class ArmProblem:
         """Points on each sphere and directions from them, (poses, 3), NaN where not seen."""
         return [one.sphere.reflect(self.lens.unproject(one.pixels)) for one in self.highlights]
 
+    @cached_property
+    def target(self) -> LitTarget:
+        """The target under the arm's lamp."""
+        return LitTarget(self.shading, self.poses, self.matt, self.excess)
+
     def around(self, start: ArmParameters) -> ArmProblem:
         """The same, with numbers that count from an arm."""
         return replace(self, start=start)
@@ -154,7 +117,7 @@ class ArmProblem:
         arm, moves = self.split(numbers)
         lamps = arm.positions(self.poses)
         found = []
-        for one, move, (rays, axes) in zip(self.highlights, moves, self._whitening(), strict=True):
+        for one, move, (rays, axes) in zip(self.highlights, moves, self._whitening, strict=True):
             at, direction = one.sphere.reflect(rays, centre=one.sphere.centre + move)
             towards = lamps - at
             towards = towards / np.linalg.norm(towards, axis=1, keepdims=True)
@@ -180,13 +143,10 @@ class ArmProblem:
         mean = np.where(seen, squares, 0).sum(axis=0) / np.where(count > 0, count, np.nan)
         return np.asarray(np.degrees(np.sqrt(mean)))
 
+    @cached_property
     def _whitening(self) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
         """Rays of each sphere's pixels, and axes (poses, 2, 3) in standard errors across them."""
-        cached = self.__dict__.get("_axes")
-        if cached is None:
-            cached = [self._axes_of(one) for one in self.highlights]
-            object.__setattr__(self, "_axes", cached)
-        return list(cached)
+        return [self._axes_of(one) for one in self.highlights]
 
     def _axes_of(self, one: SphereHighlights) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         rays = self.lens.unproject(one.pixels)
@@ -198,96 +158,10 @@ class ArmProblem:
         lever = np.stack(across, axis=2) / _PIXEL_STEP * one.sigma_px
         return rays, np.linalg.pinv(np.nan_to_num(lever))
 
-    def target_gains(self, arm: ArmParameters) -> NDArray[np.float64]:
-        """Factors (points,) of the target's points that suit an arm best, 1 on average."""
-        return self._gains_of(self._by_incidence(arm))
-
-    def _gains_of(self, predicted: NDArray[np.float64]) -> NDArray[np.float64]:
-        shading = self.shading
-        weight = np.where(np.isfinite(shading.radiance), 1 / shading.sigma**2, 0.0)
-        seen = np.where(weight > 0, shading.radiance, 0.0)
-        products = np.sum(weight * predicted * seen, axis=(0, 2))
-        squares = np.sum(weight * predicted**2, axis=(0, 2))
-        known = squares > 0
-        if not known.any():
-            return np.ones(len(shading.points))
-        gains = np.where(known, products / np.where(known, squares, 1), 1.0)
-        return np.asarray(gains / np.maximum(gains[known].mean(), _LEAST_GAIN))
-
-    def shading_residuals(self, arm: ArmParameters) -> NDArray[np.float64]:
-        """(poses, points, 3) over their standard errors; NaN where not known."""
-        shading = self.shading
-        predicted = self._suited(arm)
-        return np.asarray((predicted - shading.radiance) / (shading.sigma * np.sqrt(self.excess)))
-
     def without_shadows(self, numbers: NDArray[np.float64]) -> ArmProblem:
-        """Without the few samples of the target that no lamp explains: a shadow is upon them.
-
-        At the target's corners a shadow on a point or two looks like a bend of the light, as long
-        as each pose is looked at by itself.
-        """
-        shading = self.shading
-        predicted = self.of_any_law()._suited(self.split(numbers)[0])
-        known = np.isfinite(shading.radiance) & (shading.radiance > 0) & (predicted > 0)
-        off = np.log(np.where(known, shading.radiance, 1) / np.where(known, predicted, 1))
-        spread = robust_sigma(off[known])
-        far = known & (np.abs(off) > max(_SHADOW_SIGMAS * spread, _LEAST_SHADOW))
-        if not 0 < far.sum() < _SHADOWED * known.sum():
-            return self
-        seen = np.where(far.any(axis=2, keepdims=True), np.nan, shading.radiance)
-        return replace(self, shading=replace(shading, radiance=seen))
-
-    def shading_misfit(self, arm: ArmParameters) -> float:
-        """Root mean square of the target's radiance over that predicted, less one."""
-        predicted = self._suited(arm)
-        seen = np.isfinite(self.shading.radiance) & (predicted > 0)
-        if not seen.any():
-            return float("nan")
-        off = self.shading.radiance[seen] / predicted[seen] - 1
-        return float(np.sqrt(np.mean(off**2)))
-
-    def _suited(self, arm: ArmParameters) -> NDArray[np.float64]:
-        """Radiance with the law of incidence and the gains that suit it best."""
-        predicted = self._by_incidence(arm)
-        if self.shading.gains_unknown:
-            predicted = predicted * self._gains_of(predicted)[:, np.newaxis]
-        return predicted
-
-    def _by_incidence(self, arm: ArmParameters) -> NDArray[np.float64]:
-        """Radiance (poses, points, 3) with the law of incidence that suits it best."""
-        shading = self.shading
-        places = arm.positions(self.poses)[:, np.newaxis]
-        axes = arm.axes(self.poses)[:, np.newaxis]
-        towards = places - shading.points
-        cosine = np.maximum(towards @ shading.normal, 0) / np.linalg.norm(towards, axis=-1)
-        light = fall_off(places, axes, arm.exponent, shading.points) * cosine
-        if not self.matt:
-            seen, weight = self._logarithms()
-            lit = light > 0
-            light = light * incidence_factor(
-                cosine,
-                np.where(lit, seen - np.log(np.where(lit, light, 1.0)), 0.0),
-                np.where(lit, weight, 0.0),
-                by_point=shading.gains_unknown,
-            )
-        return np.asarray(light[..., np.newaxis] * arm.intensity * (shading.albedo / np.pi))
-
-    def _logarithms(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Of the target's radiance, mean over its colours (poses, points), and their weights."""
-        cached = self.__dict__.get("_logs")
-        if cached is None:
-            seen, sigma = self.shading.radiance, self.shading.sigma
-            known = np.isfinite(seen) & (seen > 0)
-            seen = np.where(known, seen, 1.0)
-            weight = np.where(known, (seen / np.where(known, sigma, 1.0)) ** 2, 0.0)
-            total, by_colour = weight.sum(axis=2), weight.sum(axis=(0, 1))
-            logs = np.log(seen)
-            # Colours weigh otherwise from pose to pose: their levels must not differ.
-            logs = logs - (weight * logs).sum(axis=(0, 1)) / np.where(by_colour > 0, by_colour, 1.0)
-            mean = (weight * logs).sum(axis=2) / np.where(total > 0, total, 1.0)
-            cached = mean, total
-            object.__setattr__(self, "_logs", cached)
-        return cached
+        """Without the few samples of the target that no lamp explains; itself if there are none."""
+        shading = self.target.without_shadows(self.split(numbers)[0])
+        return self if shading is self.shading else replace(self, shading=shading)
 
     def sphere_shift_sigmas(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
         """By which spheres were moved (spheres,), over their standard errors, RMS of three axes."""
@@ -298,11 +172,7 @@ class ArmProblem:
     def shading_excess(self, numbers: NDArray[np.float64], alone: NDArray[np.float64]) -> float:
         """By how much the target is off beyond what noise explains, mean square; 1 if by chance.
 
-        A likelihood ratio (S. S. Wilks, 1938): what the sum of squares of an arm fitted to
-        everything is beyond that of one fitted without the target, with as many degrees of freedom
-        as the target has samples, less the lamp's numbers and the law's. A target of another law is
-        off by something smooth, which neighbouring points share; so what is off in level, slope and
-        bend at each pose is held against noise by itself too, and the larger ratio counts.
+        See :meth:`~calibration.target_shading.LitTarget.excess_over_noise`.
 
         Parameters
         ----------
@@ -311,25 +181,11 @@ class ArmProblem:
         alone : (n,) array
             Fitted to all but the target.
         """
-        from scipy.stats import chi2
-
-        residuals = self.shading_residuals(self.split(numbers)[0])
-        known = np.isfinite(residuals)
-        poses = int(known.any(axis=(1, 2)).sum())
-        free = 1 if self.shading.gains_unknown else 0
-        alike = 1 / 3 if self.shading.is_monochrome else 1.0
-        pulled = self._pull(numbers, alone)
-        smooth = self._smooth_parts(residuals)
-        total = pulled + float(np.sum(residuals[known] ** 2))
-        shared = pulled + float(smooth @ smooth)
-        fitted = LAMP.stop - LAMP.start + (0 if self.matt else TERMS)
-        count = alike * known.sum() - free * len(self.shading.points) - fitted
-        smooth_count = len(smooth) * (1 - free / max(poses, 1)) - fitted
-        ratios = [1.0]
-        for found, freedom in ((total, count), (shared, smooth_count)):
-            if chi2.sf(found, max(freedom, 1.0)) < CHANCE:
-                ratios.append(found / max(freedom, 1.0))
-        return max(ratios)
+        return self.target.excess_over_noise(
+            self.split(numbers)[0],
+            pull=self._pull(numbers, alone),
+            lamp_numbers=LAMP.stop - LAMP.start,
+        )
 
     def agrees(self, numbers: NDArray[np.float64], alone: NDArray[np.float64]) -> bool:
         """Whether the target moves the arm no farther than the highlights allow by chance.
@@ -380,20 +236,6 @@ class ArmProblem:
         told = max(float(left @ left), 1e-300)
         return float(-(left @ residuals) / told), float(1 / np.sqrt(told))
 
-    def _smooth_parts(self, residuals: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Level, slope and bend of residuals (poses, points, 3) over the target, unit variances."""
-        points = self.shading.points - self.shading.points.mean(axis=0)
-        _, size, axes = np.linalg.svd(points, full_matrices=False)
-        u, v = (points @ axes[:2].T / (size[:2] / np.sqrt(len(points)))).T
-        terms = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=1)
-        parts = []
-        for one in residuals:
-            seen = np.isfinite(one).all(axis=1)
-            if seen.sum() >= len(terms.T):
-                basis, _ = np.linalg.qr(terms[seen])
-                parts.append(basis.T @ one[seen].sum(axis=1) / np.sqrt(3))
-        return np.concatenate(parts) if parts else np.zeros(0)
-
     def residuals(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
         """All of them, the spheres' outlines and what is known of any arm among them."""
         return self._with_shading(numbers, self._lit(numbers))
@@ -402,7 +244,7 @@ class ArmProblem:
         """The target's residuals, (m,); none where the target is left out."""
         if np.isinf(self.excess):
             return np.zeros(0)
-        return self.shading_residuals(self.split(numbers)[0]).ravel()
+        return self.target.residuals(self.split(numbers)[0]).ravel()
 
     def _with_shading(
         self, numbers: NDArray[np.float64], lit: NDArray[np.float64]

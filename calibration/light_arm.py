@@ -24,11 +24,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.robust_spread import nan_robust_sigma
-from calibration.arm_fit import CHANCE, INTENSITY, LAMP, ArmProblem, SphereHighlights, TargetShading
+from calibration.arm_fit import INTENSITY, LAMP, ArmProblem, SphereHighlights
 from calibration.arm_geometry import ArmParameters, initial_arm
 from calibration.errors import CalibrationError
 from calibration.lamp import Lamp
 from calibration.lens import Lens
+from calibration.target_shading import CHANCE, TargetShading
 from devices.interfaces import ArmPose
 
 __all__ = ["LightArm", "SphereHighlights", "TargetShading", "fit_light_arm"]
@@ -371,8 +372,8 @@ def _result(
         tuple(int(n) for n in suspect),
         inflation,
         excess,
-        problem.target_gains(arm) if problem.shading.gains_unknown else None,
-        problem.shading_misfit(arm),
+        problem.target.gains(arm) if problem.shading.gains_unknown else None,
+        problem.target.misfit(arm),
         problem.sphere_shift_sigmas(numbers),
         radius[0],
         radius[1] * float(np.sqrt(inflation)),

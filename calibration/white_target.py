@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.robust_spread import robust_sigma
-from calibration.arm_fit import TargetShading
 from calibration.arm_photographs import ArmPhotographs
 from calibration.errors import CalibrationError
 from calibration.lens import Lens
 from calibration.sphere_search import Circle
+from calibration.target_shading import TargetShading
 
 _DRAWS = 200
 _DRAWN_FROM = 4000

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from acquisition.decoding import decode
 from acquisition.plan import Purpose
 from acquisition.session import Session
-from calibration.arm_fit import SphereHighlights, TargetShading
+from calibration.arm_fit import SphereHighlights
 from calibration.arm_geometry import initial_arm
 from calibration.arm_photographs import ArmPhotographs
 from calibration.errors import CalibrationError, CalibrationRefusedError
@@ -22,6 +22,7 @@ from calibration.light_arm import LightArm, fit_light_arm
 from calibration.light_gates import check_distance, check_lights
 from calibration.rig_geometry import RigGeometry
 from calibration.sphere_search import Circle, FoundSphere, find_spheres, sphere_highlights
+from calibration.target_shading import TargetShading
 from calibration.triangulation import reconstruct_points
 from calibration.verdicts import GateReport
 from calibration.white_target import WhiteTarget, find_white_target, target_shading
