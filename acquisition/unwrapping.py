@@ -20,9 +20,10 @@ within the tolerance around that of its neighbours, some 2 × 5 √2 σ_x / L pe
 *Steps of the surface.* A frame stands before its wall by the same height everywhere, and that can
 be worth whole periods by chance. Then it is no small part that contradicts its neighbours, and it
 does so along a line that has nothing to do with the panel: a wrong code is wrong from a certain
-coordinate on, so its border keeps to one coordinate in every order that it meets, while a frame's
-upper and lower sides run across them, even where its other two are upright. Large components whose
-border does not keep to coordinates are left as they were decoded.
+coordinate on, wherever that is seen. So its border keeps to one coordinate in every order that it
+meets, or to some that nothing passes unbroken; while a frame's upper and lower sides run across the
+orders, and the coordinates of upright sides are passed above and below it. Large components whose
+border is not of that kind are left as they were decoded.
 
 If a large share of the picture contradicts its neighbours in that way, it is no noise: pictures of
 the code were taken for one another, and the decoding is refused.
@@ -38,6 +39,7 @@ from scipy.special import erfcinv
 
 from acquisition import order_kernels as kernels
 from acquisition.errors import DecodingError
+from acquisition.passages import Passages
 from acquisition.patterns import Axis
 
 # Neighbours' coordinates differ by no more than this many times the median difference.
@@ -48,15 +50,16 @@ _FARTHEST = 4
 _SUBSTANTIAL_PIXELS = 30
 _SUBSTANTIAL_SHARE = 1e-3
 _SAMPLED_LINES = 40
-# A border keeps to a coordinate in an order where this share of it is within this share of a period
-# of the median; one that runs across the fringes has a fifth there. A code's does in this share of
-# the orders.
+# A border keeps to a coordinate where most of it is within this share of a period; one that does in
+# this share of the orders is a code's.
 _KEEPS_SHARE = 0.75
 _KEEPS_PERIODS = 0.1
+# Wrong code breaks off along this share of its components' borders, at coordinates that nothing
+# passes elsewhere, even where they also follow steps of a surface.
+_UNPASSED_SHARE = 0.05
 # Smaller components are put right whatever their border: that one goes on all around by chance is
 # no rarer, but what is at stake is.
 _STEP_SHARE = 0.03
-_LEAST_OF_AN_ORDER = 5
 _LEAST_OF_A_BORDER = 20
 
 
@@ -285,15 +288,26 @@ def _judge_but_steps(
     agreement: float,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Verdict and shift of every component, with those kept that a step of the surface parts."""
-    steps = np.zeros(len(sizes), np.bool_)
+    steps, of_the_code = np.zeros((2, len(sizes)), np.bool_)
+    passages: list[Passages] = []
     while True:
         verdict, shift = _judge(jumps, sizes, steps, small, agreement)
         suspects = (sizes > _STEP_SHARE * sizes.sum()) & (verdict != kernels.KEEP)
-        suspects &= shift.any(axis=1)
-        parted = [c for c in np.nonzero(suspects)[0] if not _is_of_the_code(c, jumps, pair, slopes)]
-        if not parted:
+        suspects &= shift.any(axis=1) & ~of_the_code
+        if not suspects.any():
             return verdict, shift
-        steps[parted] = True
+        if not passages:
+            count = 1 if pair[0] is pair[1] else 2
+            passages = [
+                Passages.of(
+                    (pair[n].coordinate, pair[n].period_px),
+                    (pair[1 - n].coordinate, pair[1 - n].period_px),
+                )
+                for n in range(count)
+            ]
+        for one in np.nonzero(suspects)[0]:
+            of_the_code[one] = _is_of_the_code(one, jumps, pair, slopes, passages)
+            steps[one] = not of_the_code[one]
 
 
 def _is_of_the_code(
@@ -301,27 +315,25 @@ def _is_of_the_code(
     jumps: NDArray[np.int64],
     pair: tuple[UnwrappedAxis, UnwrappedAxis],
     slopes: NDArray[np.float64],
+    passages: list[Passages],
 ) -> bool:
-    """Whether a component's border of whole periods keeps to coordinates of the panel."""
+    """Whether a component's border of whole periods keeps to coordinates that nothing passes."""
     own = ((jumps[:, 0] == component) | (jumps[:, 1] == component)) & (jumps[:, 4] == 1)
-    for number, axis in enumerate(pair):
+    for number in range(len(passages)):
         jumping = own & (jumps[:, 2 + number] != 0)
         if pair[0] is not pair[1]:
             # What goes on in one axis only: no code makes both jump at one place.
             jumping &= jumps[:, 3 - number] == 0
-        border = jumps[jumping, 5]
-        at = axis.coordinate.ravel()[border]
+        counted = int(jumping.sum())
+        if counted < _LEAST_OF_A_BORDER:
+            continue
+        border, periods = jumps[jumping, 5], jumps[jumping, 2 + number]
+        axis = pair[number]
         near = max(_KEEPS_PERIODS * axis.period_px, slopes[number] / 2)
         near = min(near, axis.period_px / 4)
-        order = np.floor(at / axis.period_px)
-        of_orders = [at[order == one] for one in np.unique(order)]
-        of_orders = [of for of in of_orders if len(of) >= _LEAST_OF_AN_ORDER]
-        if sum(map(len, of_orders)) < _LEAST_OF_A_BORDER:
-            continue
-        # A frame that hangs upright has two sides that keep to a coordinate, and may be high; but
-        # its upper and lower sides run across many orders.
-        keep = [np.mean(np.abs(of - np.median(of)) <= near) >= _KEEPS_SHARE for of in of_orders]
-        if np.mean(keep) >= _KEEPS_SHARE:
+        at = axis.coordinate.ravel()[border]
+        orders, unpassed = passages[number].kept_to(at, periods * axis.period_px, near)
+        if orders >= _KEEPS_SHARE or unpassed >= max(_LEAST_OF_A_BORDER, _UNPASSED_SHARE * counted):
             return True
     return False
 

@@ -199,6 +199,19 @@ def test_swapped_gray_files_are_refused_by_name(axis, pair):
         decode(plan, swapped(frames, plan, axis, *pair).__getitem__)
 
 
+@pytest.mark.parametrize(("pair", "periods"), [((0, 1), -2), ((0, 2), 2)])
+def test_swapped_gray_files_are_refused_behind_an_upright_frame_too(pair, periods):
+    """Its upper and lower sides run across the fringes, and may be worth whole periods as well."""
+    column = 100 + 1.1 * np.indices((240, 320))[1].astype(float)
+    column[66:, 100:250] += periods * PERIOD
+    patterns = fringe_patterns(Axis.COLUMN, period=PERIOD, steps=4)
+    plan = make_plan(patterns + gray_patterns(Axis.COLUMN, step=16.0, bits=5))
+    frames = expose(plan, {Axis.COLUMN: column}, sigma=2)
+    assert decode(plan, frames.__getitem__).valid.mean() > 0.99
+    with pytest.raises(DecodingError, match=r"columns.*taken for one another"):
+        decode(plan, swapped(frames, plan, Axis.COLUMN, *pair).__getitem__)
+
+
 def test_wrong_periods_of_noisy_fringes_are_repaired_or_rejected():
     truth = ramp()
     patterns = fringe_patterns(Axis.COLUMN, period=16.0, steps=4)
