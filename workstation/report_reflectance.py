@@ -141,10 +141,14 @@ def held_out_section(copy_folder: Path) -> Section | None:
 
 
 def _differences(row: dict[str, Any]) -> tuple[str, ...]:
+    # Copies made before the noise was predicted have none of its figures.
+    noise_db, noise_delta = (row.get(name) for name in ("noise_psnr_db", "noise_delta_e"))
     return (
         str(row["name"]),
-        *(f"{row[name]:.1f} dB" for name in ("psnr_db", "noise_psnr_db")),
-        *(f"{row[name]:.2f}" for name in ("delta_e", "noise_delta_e")),
+        f"{row['psnr_db']:.1f} dB",
+        "–" if noise_db is None else f"{noise_db:.1f} dB",
+        f"{row['delta_e']:.2f}",
+        "–" if noise_delta is None else f"{noise_delta:.2f}",
     )
 
 

@@ -154,6 +154,15 @@ def test_a_copy_that_makes_no_sense_of_its_making_is_refused(damage):
         find_sources(Path("none"), damage)
 
 
+def test_photographs_kept_out_are_listed_where_their_noise_is_not_known(tmp_path):
+    """Older copies hold nothing of it, and what is not finite is null in JSON."""
+    known = {"name": "front", "psnr_db": 30.0, "delta_e": 2.0}
+    null = {"noise_psnr_db": None, "noise_delta_e": None}
+    (tmp_path / HELD_OUT_FILE).write_text(json.dumps([known, known | null]))
+    rows = held_out_section(tmp_path).tables[0].rows
+    assert rows == (("front", "30.0 dB", "–", "2.00", "–"),) * 2
+
+
 def test_photographs_kept_out_are_listed_without_their_pictures_too(tmp_path):
     figures = {"psnr_db": 30.0, "delta_e": 2.0, "noise_psnr_db": 40.0, "noise_delta_e": 1.0}
     rows = [{"name": name} | figures for name in ("front", "left")]
