@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.fringe_statistics import MEDIAN_TO_SIGMA
+from acquisition.robust_spread import robust_sigma
 from acquisition.scan import plan_scan, scan
 from acquisition.session_writer import SessionWriter
 from calibration.lens import Lens, compose, invert, rt_from_matrix, transform
@@ -100,7 +100,7 @@ def measure_height_error(
         float(np.sqrt(np.mean(error**2))),
         float(np.sqrt(np.mean(sigma**2))),
         float(np.mean(error)),
-        float(MEDIAN_TO_SIGMA * np.median(np.abs(error / sigma))),
+        float(robust_sigma(error / sigma)),
         len(error),
         int(beyond.sum()),
     )
@@ -137,8 +137,8 @@ def align_to_truth(copy: DigitalCopy, rig: SimulatedRig) -> NDArray[np.float64]:
         normal = np.stack([-slope_x, -slope_y, np.ones_like(z)], axis=1)
         lever = np.concatenate([np.cross(points, normal), normal], axis=1)
         # Edges of strokes, which texels cut off, shall not pull.
-        apart = np.abs(off - np.median(off))
-        usual = apart < 4 * MEDIAN_TO_SIGMA * np.median(apart)
+        apart = off - np.median(off)
+        usual = np.abs(apart) < 4 * robust_sigma(apart)
         move = -np.linalg.lstsq(lever[usual], off[usual], rcond=None)[0]
         pose = compose(move, pose)
     return pose
