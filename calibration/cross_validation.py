@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import label
 
 from acquisition.plan import Imager
 from calibration.board_views import BoardView
@@ -128,7 +129,8 @@ def fit_board_pose(
         Corners in the board's frame, mm.
     outlier_sigmas : float
         Weighted residual, over the root mean square of all, beyond which a corner is left out, as
-        in a solve; but if that is more than a twentieth of them none is.
+        in a solve; but if that is more than a twentieth of them, or two are neighbours, none is: a
+        board that is bent there, or a lens that is wrong there, shows in neighbours.
 
     Raises
     ------
@@ -139,10 +141,11 @@ def fit_board_pose(
     pose = _refined(lenses, rt_lens_ref, view, points, pose)
     whole = fitted = _fitted(lenses, rt_lens_ref, view, points, pose)
     most = _MOST_LEFT_OUT * view.seen.any(axis=0).sum()
-    kept = view
+    kept, left_out = view, np.zeros(points.shape[:2], np.bool_)
     while (gross := _gross(kept, fitted, outlier_sigmas)).any():
-        kept = kept.without(gross)
-        if view.seen.any(axis=0).sum() - kept.seen.any(axis=0).sum() > most:
+        kept, left_out = kept.without(gross), left_out | gross
+        apart = label(left_out, np.ones((3, 3)))[1]
+        if left_out.sum() > min(most, apart):
             return whole
         pose = _refined(lenses, rt_lens_ref, kept, points, fitted.rt_ref_board)
         fitted = _fitted(lenses, rt_lens_ref, kept, points, pose)
