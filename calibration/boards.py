@@ -117,7 +117,7 @@ def detect_corners(
     Raises
     ------
     CalibrationError
-        The board is not found.
+        The board is not found, or is too blurred.
     """
     grey = np.asarray(image)
     if grey.ndim != 2 or not grey.size:
@@ -141,6 +141,10 @@ def detect_corners(
     window = int(np.clip(0.12 * _spacing(coarse), 2, 12))
     pixels = np.full(coarse.shape, np.nan)
     pixels[seen] = _refined(levels, coarse[seen], window)
+    if np.isfinite(pixels[..., 0]).sum() < _LEAST_CORNERS:
+        raise CalibrationError(
+            f"{name}: a board is seen, but its edges meet nowhere sharply enough; check the focus"
+        )
     return pixels
 
 
@@ -157,7 +161,9 @@ def _refined(
     if astray.any():
         nearer = _within(levels, start[astray], 2 * window)
         there = np.isfinite(nearer[:, 0])
-        nearer[there] = _within(levels, nearer[there], window)
+        closer = _within(levels, nearer[there], window)
+        # Of a blurred board a small window holds too little.
+        nearer[there] = np.where(np.isfinite(closer), closer, nearer[there])
         found[astray] = nearer
     return found
 

@@ -84,6 +84,16 @@ def test_a_corner_whose_first_guess_is_far_off_is_found_or_not_there(monkeypatch
     assert np.abs(found - right).max() < 0.02
 
 
+def test_corners_of_a_blurred_board_are_found_in_the_larger_window():
+    picture, homography, scale = seen_from_aside(drawn_chessboard(60, 60), scale=60)
+    small = cv2.resize(picture, (320, 240), interpolation=cv2.INTER_AREA)
+    found = detect_corners(cv2.GaussianBlur(small, (0, 0), 2.0), BOARD)
+    true = (true_corners(homography, scale, margin=60) - 0.5) / 2
+    if np.linalg.norm(found[0, 0] - true[0, 0]) > 25:
+        found = found[::-1, ::-1]
+    assert np.sqrt(np.mean((found - true) ** 2)) < 0.1
+
+
 @pytest.mark.parametrize(
     ("picture", "why"),
     [
