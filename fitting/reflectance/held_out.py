@@ -92,7 +92,8 @@ def compare(measured: Singles, variance: Singles, rendered: Singles, *, name: st
     Parameters
     ----------
     measured, variance, rendered : (rows, cols, 3) float32 arrays
-        Linear radiance, the variance of its noise, and the rendering; NaN where there is none.
+        Linear radiance, the variance of its noise, and the rendering; NaN where there is none. A
+        pixel whose variance is not known is compared, but takes no part in what noise would leave.
     name : str
 
     Raises
@@ -112,6 +113,8 @@ def compare(measured: Singles, variance: Singles, rendered: Singles, *, name: st
     delta[both] = colour_difference(np.maximum(here, 0.0), np.maximum(there, 0.0))
     # A value at the peak is there whatever its noise.
     noise = np.where(here < 1.0, np.sqrt(np.maximum(variance[both], 0.0)) / white, 0.0)
+    known = np.isfinite(noise).all(axis=1)
+    here, noise = here[known], noise[known]
     drawn = np.random.default_rng(_NOISE_SEED).standard_normal(noise.shape)
     again = np.clip(here + noise * drawn, 0.0, 1.0)
     return Comparison(
@@ -121,8 +124,10 @@ def compare(measured: Singles, variance: Singles, rendered: Singles, *, name: st
         white,
         _decibels(error),
         delta,
-        _decibels(float(np.mean(noise**2))),
-        float(np.mean(colour_difference(np.maximum(here, 0.0), again))),
+        _decibels(float(np.mean(noise**2))) if known.any() else float("nan"),
+        float(np.mean(colour_difference(np.maximum(here, 0.0), again)))
+        if known.any()
+        else float("nan"),
     )
 
 

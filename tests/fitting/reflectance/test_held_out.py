@@ -20,8 +20,12 @@ def test_noise_alone_leaves_of_a_perfect_rendering_what_is_predicted():
 
 
 def test_variance_that_is_no_number_is_no_noise_beyond_the_canvas():
-    measured = np.full((6, 6, 3), 5.0, np.float32)
+    measured = np.linspace(4.0, 5.0, 108, dtype=np.float32).reshape(6, 6, 3)
     measured[3:] = np.nan
     variance = np.where(np.isfinite(measured), np.float32(0.01), np.float32(np.nan))
     found = compare(measured, variance, np.full_like(measured, 4.0), name="half")
     assert np.isfinite([found.noise_psnr_db, found.noise_delta_e]).all()
+    variance[1, 2, 0], variance[1, 3, 1] = np.nan, np.inf
+    again = compare(measured, variance, np.full_like(measured, 4.0), name="half")
+    assert again.noise_psnr_db == pytest.approx(found.noise_psnr_db, abs=0.1)
+    assert again.psnr_db == found.psnr_db
