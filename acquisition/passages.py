@@ -29,12 +29,13 @@ class Passages:
     """Stretches of pixels along which coordinates run on unbroken, on lines across the picture.
 
     ``before`` (stretches,) is the coordinate at which each begins, sorted, and ``after`` that at
-    which it ends, on the ``line``-th of the lines.
+    which it ends, on the ``line``-th of the lines, which are ``apart`` pixels apart.
     """
 
     before: NDArray[np.float64]
     after: NDArray[np.float64]
     line: NDArray[np.int64]
+    apart: int
     period_px: float
     margin: float
 
@@ -47,7 +48,8 @@ class Passages:
         pictures = [(coordinate, beside), (coordinate.T, beside.T)]
         steps = [_signed_step(own) for own, _ in pictures]
         along = int(abs(steps[1]) > abs(steps[0]))
-        own, others = (lines[:: max(1, len(lines) // _PASSAGE_LINES)] for lines in pictures[along])
+        apart = max(1, len(pictures[along][0]) // _PASSAGE_LINES)
+        own, others = (lines[::apart] for lines in pictures[along])
         step = max(abs(steps[along]), 1e-6)
         margin = max(_PASSED_PERIODS * period_px, step)
         length = max(1, min(int(np.ceil(2 * margin / step)) + 1, own.shape[1] - 1))
@@ -58,7 +60,8 @@ class Passages:
         unbroken &= np.abs(others[:, length:] - others[:, :-length]) < other_px / 2
         line = np.broadcast_to(np.arange(len(own))[:, np.newaxis], unbroken.shape)[unbroken]
         order = np.argsort(before[unbroken], kind="stable")
-        return cls(before[unbroken][order], after[unbroken][order], line[order], period_px, margin)
+        ends = before[unbroken][order], after[unbroken][order]
+        return cls(*ends, line[order], apart, period_px, margin)
 
     def kept_to(
         self, at: NDArray[np.float64], beyond: NDArray[np.float64], near: float
@@ -86,11 +89,11 @@ class Passages:
         return float(np.mean(keep)) if keep else 0.0, unpassed
 
     def lines_past(self, coordinate: float) -> int:
-        """How many lines pass a coordinate."""
+        """About how many of the picture's lines pass a coordinate."""
         places = [coordinate - self.period_px, coordinate - self.margin]
         first, last = np.searchsorted(self.before, places)
         past = self.after[first:last] > coordinate + self.margin
-        return len(np.unique(self.line[first:last][past]))
+        return self.apart * len(np.unique(self.line[first:last][past]))
 
 
 def _signed_step(lines: NDArray[np.float64]) -> float:

@@ -155,6 +155,14 @@ def test_an_upright_frame_that_stands_whole_periods_before_its_wall_is_kept(peri
     assert not check.wrong.any()
 
 
+def test_an_upright_frame_in_a_larger_picture_is_kept():
+    """Only some of its lines are looked at."""
+    column = noisy(60 + 0.5 * np.indices((900, 600))[1].astype(float))
+    column[60:840, 150:450] += PERIOD
+    check = check_orders({Axis.COLUMN: axis_of(column)})
+    np.testing.assert_array_equal(check.coordinates[Axis.COLUMN], column)
+
+
 def test_a_board_that_stands_whole_periods_before_its_wall_in_both_axes_is_kept():
     """Its edges run along the fringes, as those of a wrong code do; but no code makes both jump."""
     column = noisy(60 + 1.1 * np.indices((240, 320))[1].astype(float))
