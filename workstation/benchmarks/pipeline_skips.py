@@ -56,16 +56,16 @@ def skip_records(scene: RecordedScene) -> list[Record]:
 
 
 def _skips() -> list[_Skip]:
-    # What a skip adds does not depend on how well the lobes are fitted.
-    draft = quality_options(Quality.DRAFT)
+    # What most skips save does not depend on how well the lobes are fitted.
+    draft, normal = quality_options(Quality.DRAFT), quality_options(Quality.NORMAL)
     sampling = replace(draft.reflectance.sampling, skip_above_horizon=False)
     all_rays = replace(draft, reflectance=replace(draft.reflectance, sampling=sampling))
-    solver = replace(draft.reflectance.maps.solver, skip_diffuse=False)
-    every_lobe = draft.with_maps(solver=solver)
+    solver = replace(normal.reflectance.maps.solver, skip_diffuse=False)
+    every_lobe = normal.with_maps(solver=solver)
     usual = (_USUAL, draft)
     return [
         _Skip("rays_above_horizon", (_USUAL, all_rays), usual),
-        _Skip("lobes_of_diffuse_texels", (_USUAL, every_lobe), usual),
+        _Skip("lobes_of_diffuse_texels", (_USUAL, every_lobe), (_USUAL, normal)),
         _Skip("exposures_not_needed", (replace(_USUAL, adaptive=False), draft), usual),
         _Skip(
             "frames_of_scan_not_needed",
