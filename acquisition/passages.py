@@ -24,6 +24,11 @@ _PASSAGE_LINES = 200
 _SAMPLED_LINES = 40
 
 
+def sampling_stride(count: int) -> int:
+    """Stride that takes some of many lines, odd so that it does not keep to one of a mosaic's."""
+    return (count // _SAMPLED_LINES + 1) | 1
+
+
 @dataclass(frozen=True)
 class Passages:
     """Stretches of pixels along which coordinates run on unbroken, on lines across the picture.
@@ -98,7 +103,7 @@ class Passages:
 
 def _signed_step(lines: NDArray[np.float64]) -> float:
     """Median change of a coordinate from pixel to pixel along lines; 0 where there is none."""
-    some = lines[:: len(lines) // _SAMPLED_LINES + 1]
+    some = lines[:: sampling_stride(len(lines))]
     # Of a mosaic with one colour saturated every second pixel is left.
     steps = (some[:, 2:] - some[:, :-2]) / 2
     steps = steps[np.isfinite(steps)]

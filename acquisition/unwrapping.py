@@ -39,7 +39,7 @@ from scipy.special import erfcinv
 
 from acquisition import order_kernels as kernels
 from acquisition.errors import DecodingError
-from acquisition.passages import Passages
+from acquisition.passages import Passages, sampling_stride
 from acquisition.patterns import Axis
 
 # Neighbours' coordinates differ by no more than this many times the median difference.
@@ -49,7 +49,6 @@ _FARTHEST = 4
 # Pixels of a component that counts towards a systematic contradiction.
 _SUBSTANTIAL_PIXELS = 30
 _SUBSTANTIAL_SHARE = 1e-3
-_SAMPLED_LINES = 40
 # A border keeps to a coordinate where most of it is within this share of a period; one that does in
 # this share of the orders is a code's.
 _KEEPS_SHARE = 0.75
@@ -248,7 +247,7 @@ def _usual_slope(coordinate: NDArray[np.float64]) -> float:
     Infinite where no pixel has a neighbour to compare it with.
     """
     pictures = (coordinate, coordinate.T)
-    medians = [_median_step(lines[:: _spread(len(lines))]) for lines in pictures]
+    medians = [_median_step(lines[:: sampling_stride(len(lines))]) for lines in pictures]
     there = [median for median in medians if np.isfinite(median)]
     return _SLOPE_ALLOWANCE * max(there, default=float("inf"))
 
@@ -257,17 +256,12 @@ def _median_step(lines: NDArray[np.float64]) -> float:
     """Median change from pixel to pixel along lines; NaN where no two are within two pixels."""
     # Of a mosaic with one colour saturated every second pixel is left.
     for apart in (1, 2):
-        every = _spread(lines.shape[1])
+        every = sampling_stride(lines.shape[1])
         steps = np.abs(lines[:, apart::every] - lines[:, :-apart:every])
         there = steps[np.isfinite(steps)]
         if len(there):
             return float(np.median(there)) / apart
     return float("nan")
-
-
-def _spread(count: int) -> int:
-    """Stride that takes some of many lines, odd so that it does not keep to one of a mosaic's."""
-    return (count // _SAMPLED_LINES + 1) | 1
 
 
 def _reach(slopes: NDArray[np.float64], halves: tuple[float, float]) -> int:
