@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from acquisition.merged_photographs import photograph_brackets
@@ -14,7 +14,7 @@ from devices.bayer import BayerPattern
 from devices.interfaces import ArmPose
 from workstation.light_calibration import CalibratedLights, LightOptions, calibrate_lights
 from workstation.radiometry_sections import camera_curves, colour_patches, projector_curve
-from workstation.report_sections import ColourPatch, ReportSections, ResponseCurve
+from workstation.report_sections import ReportSections
 
 LAMPS_FILE = "lamps.json"
 
@@ -56,30 +56,14 @@ def poses_of(session: Session) -> list[ArmPose]:
     return [pose for pose in dict.fromkeys(poses) if pose is not None]
 
 
-@dataclass(frozen=True)
-class Radiometry:
-    """What sessions of greys and of a colour chart show, for the report.
-
-    Attributes
-    ----------
-    projector : ResponseCurve or None
-    colours : tuple of ColourPatch
-    """
-
-    projector: ResponseCurve | None
-    colours: tuple[ColourPatch, ...]
-
-    def sections(self, lights: CalibratedLights | None) -> ReportSections:
-        """Parts of the report, with a light arm that was calibrated."""
-        responses = [] if self.projector is None else [self.projector]
-        if lights is not None:
-            responses += camera_curves(lights.white, lights.target.block)
-        return ReportSections(
-            lights=None if lights is None else lights.section(),
-            responses=tuple(responses),
-            colours=self.colours,
-            flat_field=None if lights is None else lights.flat_field,
-        )
+def with_lights(sections: ReportSections, lights: CalibratedLights) -> ReportSections:
+    """Parts of the report, with a light arm that was calibrated beside them."""
+    return replace(
+        sections,
+        lights=lights.section(),
+        responses=(*sections.responses, *camera_curves(lights.white, lights.target.block)),
+        flat_field=lights.flat_field,
+    )
 
 
 @dataclass(frozen=True)
@@ -102,15 +86,15 @@ class Extras:
     chart: Path | None
     mosaic: BayerPattern | None
 
-    def radiometry(self) -> Radiometry:
-        """Measure greys and chart.
+    def radiometry(self) -> ReportSections:
+        """Measure greys and chart, as parts of the report.
 
         Raises
         ------
         ImpastoError
             A session does not show them.
         """
-        return Radiometry(
-            projector_curve(self.greys) if self.greys else None,
-            () if self.chart is None else colour_patches(self.chart, mosaic=self.mosaic),
+        return ReportSections(
+            responses=(projector_curve(self.greys),) if self.greys else (),
+            colours=() if self.chart is None else colour_patches(self.chart, mosaic=self.mosaic),
         )

@@ -21,7 +21,7 @@ from calibration.procam import ProcamOptions
 from calibration.rig_geometry import RigGeometry
 from devices.errors import ImpastoError
 from workstation.board_poses import find_sessions, measure_poses
-from workstation.calibration_extras import Extras
+from workstation.calibration_extras import Extras, with_lights
 from workstation.calibration_figures import FIGURES_FILE, calibration_figures
 from workstation.calibration_report import write_light_report, write_report
 from workstation.json_output import write_json
@@ -186,7 +186,7 @@ def run_calibration(asked: RigAsked, extras: Extras, *, report: Path | None) -> 
             write_report(
                 rig,
                 report,
-                sections=radiometry.sections(lights),
+                sections=radiometry if lights is None else with_lights(radiometry, lights),
                 figures=figures,
                 light_gates=None if lights is None else lights.gates,
             )
@@ -220,5 +220,5 @@ def run_light_calibration(rig: Path, extras: Extras, *, report: Path | None) -> 
 
         lights = extras.lights.calibrate(RigGeometry.load(rig), begin=begin)
         if report is not None:
-            write_light_report(lights, radiometry.sections(lights), report)
+            write_light_report(lights, with_lights(radiometry, lights), report)
     return lights
