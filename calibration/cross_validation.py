@@ -24,11 +24,10 @@ from calibration.boards import Chessboard
 from calibration.errors import CalibrationError
 from calibration.lens import Lens, compose, transform
 from calibration.mrcal_solution import LensSolution
-from calibration.mrcal_solve import solve_lenses, solve_without
+from calibration.mrcal_solve import OUTLIER_SIGMAS, solve_lenses, solve_without
 
 _FOLDS = 5
 _ROUNDS = 30
-_OUTLIER_SIGMAS = 5.0
 _MOST_LEFT_OUT = 0.05
 
 
@@ -165,7 +164,7 @@ def choose_model(
     imagers: list[Imager],
     models: Sequence[str],
     *,
-    outlier_sigmas: float = _OUTLIER_SIGMAS,
+    outlier_sigmas: float = OUTLIER_SIGMAS,
 ) -> ModelChoice:
     """Compare lens models by held-out views.
 
@@ -279,7 +278,7 @@ def split_difference(
 
 
 def heldout_poses(
-    solve: LensSolution, views: list[BoardView], *, outlier_sigmas: float = _OUTLIER_SIGMAS
+    solve: LensSolution, views: list[BoardView], *, outlier_sigmas: float
 ) -> tuple[FittedPose, ...]:
     """Poses of views that took no part in a solve, with the residuals that they leave.
 

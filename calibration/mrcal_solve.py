@@ -30,6 +30,9 @@ from calibration.mrcal_inputs import (
 from calibration.mrcal_solution import LensSolution, solution_of
 from calibration.view_seeds import check_views, seed_lenses
 
+# A corner whose residual is larger than so many times that of all is left out, if nothing is asked.
+OUTLIER_SIGMAS = 5.0
+
 
 def splined_model(*, columns: int, rows: int, fov_deg: float) -> str:
     """Name, in mrcal, of a cubic splined stereographic model."""
@@ -43,7 +46,7 @@ def solve_lenses(
     *,
     model: str,
     board_warp: bool = True,
-    outlier_sigmas: float = 5.0,
+    outlier_sigmas: float = OUTLIER_SIGMAS,
 ) -> LensSolution:
     """Solve lenses that see a moving board, from nothing but the observed corners.
 

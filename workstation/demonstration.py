@@ -100,7 +100,7 @@ def measure_height_error(
         float(np.sqrt(np.mean(error**2))),
         float(np.sqrt(np.mean(sigma**2))),
         float(np.mean(error)),
-        float(robust_sigma(error / sigma)),
+        robust_sigma(error / sigma),
         len(error),
         int(beyond.sum()),
     )

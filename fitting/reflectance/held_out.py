@@ -111,12 +111,6 @@ def compare(measured: Singles, variance: Singles, rendered: Singles, *, name: st
     error = float(np.mean((here - there) ** 2))
     delta = np.full(both.shape, np.nan, np.float32)
     delta[both] = colour_difference(np.maximum(here, 0.0), np.maximum(there, 0.0))
-    # A value at the peak is there whatever its noise.
-    noise = np.where(here < 1.0, np.sqrt(np.maximum(variance[both], 0.0)) / white, 0.0)
-    known = np.isfinite(noise).all(axis=1)
-    here, noise = here[known], noise[known]
-    drawn = np.random.default_rng(_NOISE_SEED).standard_normal(noise.shape)
-    again = np.clip(here + noise * drawn, 0.0, 1.0)
     return Comparison(
         name,
         np.where(both[..., np.newaxis], measured, np.nan),
@@ -124,11 +118,25 @@ def compare(measured: Singles, variance: Singles, rendered: Singles, *, name: st
         white,
         _decibels(error),
         delta,
-        _decibels(float(np.mean(noise**2))) if known.any() else float("nan"),
-        float(np.mean(colour_difference(np.maximum(here, 0.0), again)))
-        if known.any()
-        else float("nan"),
+        *_left_by_noise(here, np.sqrt(np.maximum(variance[both], 0.0)) / white),
     )
+
+
+def _left_by_noise(seen: Singles, sigma: Singles) -> tuple[float, float]:
+    """PSNR and mean ΔE that noise would leave of pixels (n, 3), 1 being the peak; NaN if unknown.
+
+    A pixel with ``sigma`` (n, 3) not known takes no part.
+    """
+    # A value at the peak is there whatever its noise.
+    noise = np.where(seen < 1.0, sigma, 0.0)
+    known = np.isfinite(noise).all(axis=1)
+    if not known.any():
+        return float("nan"), float("nan")
+    seen, noise = seen[known], noise[known]
+    drawn = np.random.default_rng(_NOISE_SEED).standard_normal(noise.shape)
+    again = np.clip(seen + noise * drawn, 0.0, 1.0)
+    delta = colour_difference(np.maximum(seen, 0.0), again)
+    return _decibels(float(np.mean(noise**2))), float(np.mean(delta))
 
 
 def _decibels(squared_error: float) -> float:
