@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from typing import TypeVar
 
 from devices.deadline import Deadline
 from devices.dlpc350.messages import Command, HardwareStatus, Version, bit_names
 from devices.dlpc350.usb_link import UsbLink
 from devices.errors import DeviceError, DeviceTimeoutError
+
+Answer = TypeVar("Answer")
 
 # Older firmware keeps its images elsewhere and does not tell their number.
 _OLDEST_FIRMWARE = Version(3, 0, 0)
@@ -34,11 +38,17 @@ def read_byte(link: UsbLink, command: Command, deadline: Deadline) -> int:
     return answer[0]
 
 
-def wait_to_ask_again(deadline: Deadline, what: str) -> None:
-    """Wait a moment, unless that would be too late.
+def ask_until(
+    ask: Callable[[], Answer], done: Callable[[Answer], bool], *, deadline: Deadline, what: str
+) -> Answer:
+    """Ask until an answer is the one that is waited for.
 
     Parameters
     ----------
+    ask : callable
+        Asks the board once.
+    done : callable
+        Whether an answer ends the waiting.
     deadline : Deadline
     what : str
         What is being waited for, as in :meth:`~devices.deadline.Deadline.require`.
@@ -46,11 +56,21 @@ def wait_to_ask_again(deadline: Deadline, what: str) -> None:
     Raises
     ------
     DeviceTimeoutError
-        The deadline does not allow another question.
+        The deadline does not allow another question, or passed with the last one.
     """
-    if deadline.remaining_s <= _POLL_S:
-        raise DeviceTimeoutError(f"{what} in time")
-    time.sleep(_POLL_S)
+    answer = ask()
+    while not done(answer):
+        if deadline.remaining_s <= _POLL_S:
+            raise DeviceTimeoutError(f"{what} in time")
+        time.sleep(_POLL_S)
+        try:
+            answer = ask()
+        except DeviceTimeoutError as error:
+            # A board that answered until now did not fall silent because nobody listens any more.
+            if deadline.passed:
+                raise DeviceTimeoutError(f"{what} in time") from error
+            raise
+    return answer
 
 
 def check_hardware(link: UsbLink, *, deadline: Deadline) -> None:

@@ -12,7 +12,7 @@ from dataclasses import KW_ONLY, dataclass
 from itertools import pairwise
 
 from devices.deadline import Deadline
-from devices.dlpc350.health import check_hardware, read_byte, wait_to_ask_again
+from devices.dlpc350.health import ask_until, check_hardware, read_byte
 from devices.dlpc350.messages import (
     MOST_IMAGES,
     MOST_PATTERNS,
@@ -144,12 +144,17 @@ def start_sequence(link: UsbLink, *, deadline: Deadline) -> float:
         It does not start.
     """
     link.write(Command.PATTERN_RUN, bytes([PatternRun.START]), deadline=deadline)
-    while True:
-        main = MainStatus(read_byte(link, Command.MAIN_STATUS, deadline))
-        if MainStatus.SEQUENCER_RUNNING in main:
-            return time.monotonic()
+
+    def runs() -> bool:
+        if MainStatus.SEQUENCER_RUNNING in MainStatus(
+            read_byte(link, Command.MAIN_STATUS, deadline)
+        ):
+            return True
         check_hardware(link, deadline=deadline)
-        wait_to_ask_again(deadline, "the DLPC350 did not start the sequence")
+        return False
+
+    ask_until(runs, bool, deadline=deadline, what="the DLPC350 did not start the sequence")
+    return time.monotonic()
 
 
 def _fill(link: UsbLink, mailbox: Mailbox, entries: list[bytes], deadline: Deadline) -> None:
@@ -162,10 +167,11 @@ def _fill(link: UsbLink, mailbox: Mailbox, entries: list[bytes], deadline: Deadl
 
 def _validate(link: UsbLink, deadline: Deadline) -> None:
     link.write(Command.VALIDATE, b"\0", deadline=deadline)
-    while True:
-        status = ValidationStatus(read_byte(link, Command.VALIDATE, deadline))
-        if ValidationStatus.BUSY not in status:
-            break
-        wait_to_ask_again(deadline, "the DLPC350 did not validate the sequence")
+    status = ask_until(
+        lambda: ValidationStatus(read_byte(link, Command.VALIDATE, deadline)),
+        lambda status: ValidationStatus.BUSY not in status,
+        deadline=deadline,
+        what="the DLPC350 did not validate the sequence",
+    )
     if status:
         raise DeviceError(f"the DLPC350 finds the sequence wrong: {bit_names(status)}")

@@ -13,7 +13,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from typing import Any
 
 from devices.deadline import Deadline
-from devices.dlpc350.health import check_health, read_byte, read_version, wait_to_ask_again
+from devices.dlpc350.health import ask_until, check_health, read_byte, read_version
 from devices.dlpc350.messages import (
     PANEL_HEIGHT,
     PANEL_WIDTH,
@@ -208,8 +208,12 @@ class Dlpc350Projector:
     def _wake(self, deadline: Deadline) -> None:
         if read_byte(self._link, Command.POWER, deadline):
             self._link.write(Command.POWER, b"\0", deadline=deadline)
-        while read_byte(self._link, Command.POWER, deadline):
-            wait_to_ask_again(deadline, "the DLPC350 did not wake from standby")
+        ask_until(
+            lambda: read_byte(self._link, Command.POWER, deadline),
+            lambda standby: not standby,
+            deadline=deadline,
+            what="the DLPC350 did not wake from standby",
+        )
 
     def _set_currents(self, deadline: Deadline) -> None:
         currents, leds = self._settings.led_currents, self._settings.leds
@@ -226,13 +230,12 @@ class Dlpc350Projector:
 
     def _check_signal(self, size: tuple[int, int], deadline: Deadline) -> None:
         """Refuse a video input that the board would have to scale."""
-        while True:
-            signal = self._link.read(Command.VIDEO_SIGNAL, deadline=deadline)
-            if len(signal) >= 5 and signal[0] & 3 == _SIGNAL_LOCKED:
-                break
-            wait_to_ask_again(
-                deadline, "the DLPC350 (look at its HDMI cable) did not lock to its video input"
-            )
+        signal = ask_until(
+            lambda: self._link.read(Command.VIDEO_SIGNAL, deadline=deadline),
+            lambda signal: len(signal) >= 5 and signal[0] & 3 == _SIGNAL_LOCKED,
+            deadline=deadline,
+            what="the DLPC350 (look at its HDMI cable) did not lock to its video input",
+        )
         received = (
             int.from_bytes(signal[1:3], "little"),
             int.from_bytes(signal[3:5], "little"),
@@ -250,8 +253,12 @@ class Dlpc350Projector:
         self._lit = False
         self._link.write_surely(Command.LED_ENABLE, bytes([Leds.NONE]), deadline=deadline)
         self._link.write(Command.DISPLAY_MODE, bytes([mode]), deadline=deadline)
-        while read_byte(self._link, Command.DISPLAY_MODE, deadline) != mode:
-            wait_to_ask_again(deadline, f"the DLPC350 did not change to {mode.name.lower()} mode")
+        ask_until(
+            lambda: read_byte(self._link, Command.DISPLAY_MODE, deadline),
+            lambda entered: entered == mode,
+            deadline=deadline,
+            what=f"the DLPC350 did not change to {mode.name.lower()} mode",
+        )
 
     def _light(self, deadline: Deadline) -> None:
         self._link.write(Command.LED_ENABLE, bytes([Leds.SEQUENCER]), deadline=deadline)

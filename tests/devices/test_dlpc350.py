@@ -6,6 +6,7 @@ import sys
 import time
 from array import array
 from contextlib import closing
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from devices.deadline import Deadline
+from devices.dlpc350.health import ask_until
 from devices.dlpc350.messages import Command, FlashPattern, Leds, ValidationStatus
 from devices.dlpc350.projector import Dlpc350Projector
 from devices.dlpc350.settings import Dlpc350Settings, find
@@ -580,11 +582,11 @@ class Screen:
         self.shown.append("closed")
 
 
-def video_settings() -> Dlpc350Settings:
+def video_settings(timeout_s: float = 5.0) -> Dlpc350Settings:
     return Dlpc350Settings.model_validate(
         {
             "source": "video",
-            "timeout_s": 0.5,
+            "timeout_s": timeout_s,
             "screen": {"screen": "HDMI-1", "width": 912, "height": 1140},
         }
     )
@@ -634,8 +636,29 @@ def test_a_lost_board_blackens_the_screen(backend):
 def test_a_video_input_that_would_be_scaled_is_refused(backend, signal, refusal):
     backend.board.video_signal = signal
     with pytest.raises(DeviceError, match=refusal):
-        Dlpc350Projector(open_link(backend), video_settings(), Screen())
+        Dlpc350Projector(open_link(backend), video_settings(timeout_s=1.0), Screen())
     assert not backend.board.lit
+
+
+@pytest.mark.parametrize(
+    ("takes_s", "complaint"), [(1.0, "the board did not wake in time"), (0.5, "no answer")]
+)
+def test_a_last_question_too_late_is_told_from_a_board_that_fell_silent(
+    monkeypatch, takes_s, complaint
+):
+    clock = SimpleNamespace(now=100.0)
+    monkeypatch.setattr("devices.deadline.time", SimpleNamespace(monotonic=lambda: clock.now))
+    answers = iter([False])
+
+    def ask() -> bool:
+        for answer in answers:
+            return answer
+        clock.now += takes_s
+        raise DeviceTimeoutError("no answer")
+
+    with pytest.raises(DeviceTimeoutError, match=complaint):
+        ask_until(ask, bool, deadline=Deadline(101.0), what="the board did not wake")
+    assert clock.now == 100.0 + takes_s
 
 
 def test_settings_name_the_table_that_is_missing():
