@@ -5,13 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from tiny_rig import TinyCamera, TinyScene, tiny_rig
 
-from acquisition.photograph_plan import PhotographChoices, plan_photographs
-from acquisition.plan import Purpose
-from acquisition.recording import record_plan
-from acquisition.session import Session
-from acquisition.session_writer import SessionWriter
 from devices.errors import ImpastoError
 from workstation.benchmarks import interruptions
 from workstation.benchmarks.interruptions import Command, interrupt, spread_moments
@@ -134,30 +128,3 @@ def test_whether_the_lamp_is_lit_in_the_end_is_told(tmp_path, lit, code):
 def test_moments_are_spread_over_all_of_the_time():
     found = np.sort(spread_moments(50, 10.0, np.random.default_rng(0)))
     assert (found // 0.2 == np.arange(50)).all()
-
-
-def test_frames_that_differ_from_those_of_a_whole_session_are_named(tmp_path):
-    class Brighter(TinyCamera):
-        def capture(self, exposure_s, *, deadline=None):
-            frame = super().capture(exposure_s, deadline=deadline)
-            if self.scene.lamp_on:
-                frame.image[0, 0] += 1
-            return frame
-
-    choices = PhotographChoices(
-        exposures_s=(0.05,), code_exposures_s=(0.1,), poses=1, steps=3, camera_positions=("front",)
-    )
-    plan = plan_photographs(tiny_rig(), choices)
-    scene = TinyScene()
-    rigs = {"whole": tiny_rig(), "other": tiny_rig(scene, camera=Brighter(scene))}
-    for name, rig in rigs.items():
-        with SessionWriter.create(tmp_path / name, plan) as writer:
-            record_plan(writer, rig)
-    whole = Session.open(tmp_path / "whole")
-    assert interruptions._opened(tmp_path / "whole", whole) is None
-    lit = [frame.id for frame in plan.frames if frame.purpose is Purpose.PHOTOGRAPH]
-    said = interruptions._opened(tmp_path / "other", whole)
-    assert said is not None
-    for name in lit:
-        assert f"{name} (recorded before it was cut off; 1 of " in said
-    assert "samples, by 1 at most" in said

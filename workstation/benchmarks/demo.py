@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import subprocess
 import sys
@@ -12,16 +13,25 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from acquisition.session import Session
 from workstation.benchmark_records import Record, Sense
+from workstation.benchmarks.session_differences import frame_differences
 from workstation.demo_bounds import demo_records
 from workstation.demo_job import COPY_FOLDER, REPORT_FILE, SESSIONS_FOLDER
-from workstation.demo_processing import LAMPS_FILE
-from workstation.demo_recording import PHOTOGRAPHS_SESSION, SCAN_SESSION, replay_sessions
+from workstation.demo_processing import LAMPS_FILE, RIG_FOLDER
+from workstation.demo_recording import (
+    PHOTOGRAPHS_SESSION,
+    SCAN_SESSION,
+    replay_sessions,
+    sessions_of,
+)
 from workstation.processing import DECODING, REFLECTANCE, REGISTRATION, SURFACE
 from workstation.stage_cache import digest_of_files
 
 # The heights decide a threshold of some tenths of a millimetre by themselves.
 _OTHER_DELTA0_MM = 0.123
+# Of what differs where nothing should.
+_NAMED = 5
 
 
 def bench() -> list[Record]:
@@ -37,7 +47,11 @@ def bench() -> list[Record]:
                 replace(record, value=seconds) if record.name == "demo.seconds" else record
                 for record in demo_records(figures)
             ),
-            _differing("demo.differing_copies", first, second, "of two runs with one seed"),
+            _differing(
+                "demo.differing_copies",
+                *(first, second),
+                "of two runs with one seed" + _first_difference(first, second),
+            ),
             *_processed_again(first, Path(folder) / "replayed"),
         ]
 
@@ -88,6 +102,32 @@ def _differing(name: str, one: Path, other: Path, note: str) -> Record:
         runs=2,
         note=note,
     )
+
+
+def _first_difference(first: Path, second: Path) -> str:
+    """What of two demos differs, in the order in which it is made; empty if nothing does."""
+    for path in sessions_of(first / SESSIONS_FOLDER):
+        name = path.relative_to(first)
+        frames = frame_differences(Session.open(second / name), Session.open(path))
+        if frames:
+            return f"; {name} differs: {', '.join(frames[:_NAMED])}"
+    for part in (RIG_FOLDER, LAMPS_FILE, COPY_FOLDER):
+        made, again = (_digests_below(demo, part) for demo in (first, second))
+        files = sorted({name for name, _ in made.items() ^ again.items()})
+        if files:
+            return f"; differ: {', '.join(files[:_NAMED])}"
+    return ""
+
+
+def _digests_below(folder: Path, part: str) -> dict[str, str]:
+    """Digests of a file of a folder, or of every file in a part of it, by path."""
+    files = (path for path in sorted(folder.rglob("*")) if path.is_file())
+    names = ((path, path.relative_to(folder)) for path in files)
+    return {
+        name.as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path, name in names
+        if name.parts[0] == part
+    }
 
 
 def _impasto(*words: Any) -> float:

@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.errors import SessionError
-from acquisition.journal import FrameRecorded, Start, read_journal
+from acquisition.journal import FrameRecorded, read_journal
 from acquisition.session import JOURNAL_FILE, Session
 from devices.errors import ImpastoError
+from workstation.benchmarks.session_differences import frame_differences
 
 IMPASTO = [sys.executable, "-m", "workstation.command_line"]
 # As many commands at once as are interrupted; their run time is measured so, too.
@@ -300,27 +301,8 @@ def _opened(session: Path, whole: Session | None) -> str | None:
         return f"resumed to what is not whole: {error}"
     if whole is None or found.digest == whole.digest:
         return None
-    files = [{name: one.sha256 for name, one in s.recorded.items()}.items() for s in (found, whole)]
-    differing = sorted({name for name, _ in files[0] ^ files[1]})
-    how = ", ".join(f"{name} ({_difference(name, found, whole)})" for name in differing)
+    how = ", ".join(frame_differences(found, whole))
     return f"resumed to another manifest; frames that differ: {how or 'none'}"
-
-
-def _difference(name: str, found: Session, whole: Session) -> str:
-    """How a frame of a session that was gone on with differs, and when it was recorded."""
-    if name not in found.recorded or name not in whole.recorded:
-        return "missing" if name in whole.recorded else "only there"
-    when = "before it was cut off"
-    for event in read_journal(found.path / JOURNAL_FILE):
-        if isinstance(event, Start) and event.resumed:
-            when = "after"
-        elif isinstance(event, FrameRecorded) and event.id == name:
-            break
-    here, there = (session.read_frame(name) for session in (found, whole))
-    if here.shape != there.shape:
-        return f"recorded {when}, of another size"
-    off = np.abs(here.astype(np.int64) - there)
-    return f"recorded {when}; {np.count_nonzero(off)} of {off.size} samples, by {off.max()} at most"
 
 
 @dataclass
