@@ -21,11 +21,21 @@ from devices.interfaces import ArmPose
 # Chance below which a misfit is not taken for noise.
 CHANCE = 1e-4
 _LEAST_GAIN = 1e-6
-# A sample of the target that is off by more than all and than this, as a logarithm, is in a shadow;
-# more of them than this share are no shadow.
 _SHADOW_SIGMAS = 6.0
 _LEAST_SHADOW = 0.03
+# More samples off than this share are no shadow.
 _SHADOWED = 0.05
+
+
+def shadow_depth(off: NDArray[np.float64]) -> float:
+    """By how much a sample of the target must be off to be in a shadow, as a logarithm.
+
+    Parameters
+    ----------
+    off : (n,) float64 array
+        Logarithms of samples over what light without shadows would make of them.
+    """
+    return max(_SHADOW_SIGMAS * robust_sigma(off), _LEAST_SHADOW)
 
 
 @dataclass(frozen=True)
@@ -117,8 +127,7 @@ class LitTarget:
         predicted = replace(self, matt=False).radiance(arm)
         known = np.isfinite(shading.radiance) & (shading.radiance > 0) & (predicted > 0)
         off = np.log(np.where(known, shading.radiance, 1) / np.where(known, predicted, 1))
-        spread = robust_sigma(off[known])
-        far = known & (np.abs(off) > max(_SHADOW_SIGMAS * spread, _LEAST_SHADOW))
+        far = known & (np.abs(off) > shadow_depth(off[known]))
         if not 0 < far.sum() < _SHADOWED * known.sum():
             return shading
         seen = np.where(far.any(axis=2, keepdims=True), np.nan, shading.radiance)

@@ -19,7 +19,7 @@ from calibration.arm_photographs import ArmPhotographs
 from calibration.errors import CalibrationError
 from calibration.lens import Lens
 from calibration.sphere_search import Circle
-from calibration.target_shading import TargetShading
+from calibration.target_shading import TargetShading, shadow_depth
 
 _DRAWS = 200
 _DRAWN_FROM = 4000
@@ -35,8 +35,6 @@ _LEAST_BLOCKS = 12
 _LEAST_COSINE = 0.5
 # Relative error of a block's mean beyond noise: the target's unevenness.
 _UNEVEN = 1e-3
-_SHADOW_SIGMAS = 6.0
-_LEAST_SHADOW = 0.03
 _AROUND_SPHERE = 1.15
 
 
@@ -257,8 +255,7 @@ def _evenly_lit(means: NDArray[np.float64], pixels: NDArray[np.float64]) -> NDAr
         logs = np.log(np.where(lit, level, 1.0))
         found = np.linalg.lstsq(terms[lit], logs[lit], rcond=None)[0]
         off = logs - terms @ found
-        spread = robust_sigma(off[lit])
-        dark = lit & (off < -max(_SHADOW_SIGMAS * spread, _LEAST_SHADOW))
+        dark = lit & (off < -shadow_depth(off[lit]))
         if not dark.any():
             return lit
         # The darkest ones pull the fit: they go first.

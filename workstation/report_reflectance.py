@@ -19,7 +19,7 @@ from workstation.report_page import Comparison, Picture, Section, Table
 
 # Of each photograph that was kept out.
 _PICTURES = ("measured", "rendered")
-_DIFFERENCES = ("photograph", "PSNR", "of it noise", "mean ΔE2000", "of it noise")
+_DIFFERENCES = ("photograph", "PSNR", "noise alone", "mean ΔE2000", "noise alone")
 
 
 def reflectance_section(copy: DigitalCopy) -> Section:
