@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from acquisition import patterns
 from acquisition.patterns import (
     BLACK,
     PATTERN_ADAPTER,
@@ -75,6 +76,18 @@ def test_pictures_vary_along_their_axis_only(axis):
     assert (along == along[0]).all()
     expected = np.round(255 * pattern_profile(pattern, np.arange(along.shape[1], dtype=float)))
     np.testing.assert_array_equal(along[0], expected)
+
+
+@pytest.mark.parametrize("towards", [0.0, 1.0])
+@pytest.mark.parametrize("step", range(8))
+def test_the_last_bits_of_a_cosine_do_not_change_a_picture(step, towards, monkeypatch):
+    fringe = PhaseShift(axis=Axis.COLUMN, period_px=24, shift_rad=2 * np.pi * step / 8)
+    picture = pattern_image(fringe, width=96, height=2)
+    exact = pattern_profile(fringe, np.arange(96.0))
+    assert np.count_nonzero(np.abs(255 * exact - 127.5) < 1e-9) == 8
+    off = np.nextafter(np.nextafter(exact, towards), towards)
+    monkeypatch.setattr(patterns, "pattern_profile", lambda *_: off)
+    np.testing.assert_array_equal(pattern_image(fringe, width=96, height=2), picture)
 
 
 def test_flat_fields_are_flat():
