@@ -133,8 +133,10 @@ def test_the_report_asks_nothing_of_the_net_and_shows_every_part(calibrated):
     for plane in report["heldout_planes"]:
         assert plane["rms_mm"] < 1.3 * plane["predicted_noise_mm"]
         assert abs(plane["scale_error"]) < 1e-3
-    assert len(report["repeatability"]["rms_mm"]) == 2
-    assert max(report["repeatability"]["rms_mm"]) < 0.05
+    repeated = report["repeatability"]
+    assert len(repeated["rms_mm"]) == 2
+    ratios = np.divide(repeated["rms_mm"], repeated["predicted_mm"])
+    assert ((ratios > 0.7) & (ratios < 1.3)).all()
     assert report["earlier"][0]["over_predicted"] < 2.5
     assert len(report["sessions"]) == len(POSES)
 
