@@ -16,6 +16,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from acquisition.errors import SessionError
+from acquisition.file_tree import files_below
 from acquisition.frame_files import SUFFIX, Samples, decode_frame
 from acquisition.journal import (
     AnyEvent,
@@ -198,16 +199,11 @@ def frame_file(frame_id: str) -> str:
     return f"{FRAMES_FOLDER}/{frame_id}{SUFFIX}"
 
 
-def files_of_session(path: Path) -> set[str]:
-    """Every file below a session folder, by its path inside."""
-    return {file.relative_to(path).as_posix() for file in path.rglob("*") if file.is_file()}
-
-
 def digests_of(path: Path) -> dict[str, str]:
     """SHA-256 of every file below a session folder that the manifest covers, by its path."""
     return {
         name: hashlib.sha256((path / name).read_bytes()).hexdigest()
-        for name in sorted(files_of_session(path) - _UNCOVERED)
+        for name in sorted(files_below(path).keys() - _UNCOVERED)
     }
 
 
@@ -244,7 +240,7 @@ def manifest_text(path: Path, recorded: Iterable[FrameRecorded]) -> str:
     def digest(name: str) -> str:
         return known.get(name) or hashlib.sha256((path / name).read_bytes()).hexdigest()
 
-    covered = sorted(files_of_session(path) - _UNCOVERED)
+    covered = sorted(files_below(path).keys() - _UNCOVERED)
     return "".join(f"{digest(name)}  {name}\n" for name in covered)
 
 
@@ -303,7 +299,7 @@ def _check_files(
             raise SessionError(
                 f"{path / MANIFEST_FILE} and {path / JOURNAL_FILE} disagree about frame {frame.id}"
             )
-    there = files_of_session(path) - _UNCOVERED
+    there = files_below(path).keys() - _UNCOVERED
     missing, extra = sorted(set(manifest) - there), sorted(there - set(manifest))
     if missing:
         raise SessionError(f"{path / missing[0]} is missing ({len(missing)} files in all)")

@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from acquisition.file_tree import files_below
+
 
 @contextmanager
 def files_in_progress(folder: Path | None) -> Iterator[Path | None]:
@@ -28,8 +30,8 @@ def files_in_progress(folder: Path | None) -> Iterator[Path | None]:
     temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.in-progress-", dir=near))
     try:
         yield temporary
-        for file in sorted(path for path in temporary.rglob("*") if path.is_file()):
-            place = folder / file.relative_to(temporary)
+        for name, file in files_below(temporary).items():
+            place = folder / name
             place.parent.mkdir(parents=True, exist_ok=True)
             file.replace(place)
     finally:

@@ -26,6 +26,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from acquisition.atomic_files import file_in_progress
+from acquisition.file_tree import files_below
 from devices.errors import ImpastoError
 from workstation.result_files import PACKAGES, ResultFileError, read_result, write_result
 
@@ -249,9 +250,9 @@ def _peak_mb() -> float:
 def digest_of_files(folder: Path) -> str:
     """Digest of every file below a folder, by name and content."""
     digest = hashlib.sha256()
-    for file in sorted(path for path in folder.rglob("*") if path.is_file()):
+    for name, file in files_below(folder).items():
         content = file.read_bytes()
-        digest.update(f"{file.relative_to(folder).as_posix()} {len(content)}\n".encode())
+        digest.update(f"{name} {len(content)}\n".encode())
         digest.update(content)
     return digest.hexdigest()
 

@@ -15,6 +15,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from acquisition.file_tree import files_below
 from acquisition.session import MANIFEST_FILE
 from workstation.copy_places import places_beside
 from workstation.json_output import plain_figures, write_json
@@ -89,7 +90,6 @@ def _digest(path: Path) -> str:
 
 def _changed(folder: Path) -> str:
     """Digest of the names, sizes and times of change of all files below a folder."""
-    files = sorted(path for path in folder.rglob("*") if path.is_file())
-    known = [(path.relative_to(folder).as_posix(), path.stat()) for path in files]
+    known = [(name, file.stat()) for name, file in files_below(folder).items()]
     told = [[name, stat.st_size, stat.st_mtime_ns] for name, stat in known]
     return hashlib.sha256(json.dumps(told).encode()).hexdigest()

@@ -11,7 +11,7 @@ from devices.dlpc350.messages import Command, HardwareStatus, Version, bit_names
 from devices.dlpc350.usb_link import UsbLink
 from devices.errors import DeviceError, DeviceTimeoutError
 
-Answer = TypeVar("Answer")
+_Answer = TypeVar("_Answer")
 
 # Older firmware keeps its images elsewhere and does not tell their number.
 _OLDEST_FIRMWARE = Version(3, 0, 0)
@@ -39,8 +39,8 @@ def read_byte(link: UsbLink, command: Command, deadline: Deadline) -> int:
 
 
 def ask_until(
-    ask: Callable[[], Answer], done: Callable[[Answer], bool], *, deadline: Deadline, what: str
-) -> Answer:
+    ask: Callable[[], _Answer], done: Callable[[_Answer], bool], *, deadline: Deadline, what: str
+) -> _Answer:
     """Ask until an answer is the one that is waited for.
 
     Parameters

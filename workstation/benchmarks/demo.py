@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import subprocess
 import sys
@@ -13,6 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from acquisition.file_tree import files_below
 from acquisition.session import Session
 from workstation.benchmark_records import Record, Sense
 from workstation.benchmarks.session_differences import frame_differences
@@ -111,23 +111,17 @@ def _first_difference(first: Path, second: Path) -> str:
         frames = frame_differences(Session.open(second / name), Session.open(path))
         if frames:
             return f"; {name} differs: {', '.join(frames[:_NAMED])}"
+    made, again = (files_below(demo) for demo in (first, second))
     for part in (RIG_FOLDER, LAMPS_FILE, COPY_FOLDER):
-        made, again = (_digests_below(demo, part) for demo in (first, second))
-        files = sorted({name for name, _ in made.items() ^ again.items()})
+        names = [name for name in sorted(made | again) if Path(name).parts[0] == part]
+        files = [name for name in names if not _same(made.get(name), again.get(name))]
         if files:
             return f"; differ: {', '.join(files[:_NAMED])}"
     return ""
 
 
-def _digests_below(folder: Path, part: str) -> dict[str, str]:
-    """Digests of a file of a folder, or of every file in a part of it, by path."""
-    files = (path for path in sorted(folder.rglob("*")) if path.is_file())
-    names = ((path, path.relative_to(folder)) for path in files)
-    return {
-        name.as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path, name in names
-        if name.parts[0] == part
-    }
+def _same(one: Path | None, other: Path | None) -> bool:
+    return one is not None and other is not None and one.read_bytes() == other.read_bytes()
 
 
 def _impasto(*words: Any) -> float:

@@ -32,6 +32,7 @@ from types import FrameType
 
 import numpy as np
 
+from acquisition.file_tree import files_below
 from devices.errors import ImpastoError
 from workstation.benchmarks.mutations import (
     Mutation,
@@ -263,12 +264,12 @@ def damage(target: Target, folder: Path, random: np.random.Generator) -> str:
 
 def _mirror(source: Path, destination: Path) -> None:
     """Make the folder what the source is; files that are so already stay."""
-    wanted = {f.relative_to(source) for f in source.rglob("*") if f.is_file()}
-    for file in [f for f in destination.rglob("*") if f.is_file()]:
-        if file.relative_to(destination) not in wanted:
+    wanted = files_below(source)
+    for name, file in files_below(destination).items():
+        if name not in wanted:
             file.unlink()
-    for name in wanted:
-        content = (source / name).read_bytes()
+    for name, original in wanted.items():
+        content = original.read_bytes()
         copy = destination / name
         if not copy.is_file() or copy.read_bytes() != content:
             copy.parent.mkdir(parents=True, exist_ok=True)

@@ -1,0 +1,11 @@
+"""The files below a folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+def files_below(folder: Path) -> dict[str, Path]:
+    """Every file below a folder, in order, by its path from there as POSIX writes it."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {file.relative_to(folder).as_posix(): file for file in files}
