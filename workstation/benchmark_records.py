@@ -6,8 +6,11 @@ from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
 
-from rich.console import Console
+from rich import box
+from rich.console import Console, Group
+from rich.padding import Padding
 from rich.table import Table
+from rich.text import Text
 
 
 class Sense(StrEnum):
@@ -76,10 +79,12 @@ def record_row(record: Record) -> tuple[str, ...]:
 
 
 def print_records(records: list[Record]) -> None:
-    """Print records as a table on standard output."""
-    table = Table()
-    for heading in ("figure", "value", "bound", "holds", "note"):
-        table.add_column(heading, no_wrap=heading == "figure", overflow="fold")
+    """Print records as a table on standard output, each with its note below its name."""
+    table = Table("figure", box=box.SIMPLE_HEAD, pad_edge=False)
+    for heading in ("value", "bound", "holds"):
+        table.add_column(heading, no_wrap=True)
     for record in records:
-        table.add_row(*record_row(record))
+        name, *measured, note = record_row(record)
+        below = [Padding(Text(note, style="dim"), (0, 0, 0, 2))] if note else []
+        table.add_row(Group(Text(name), *below), *measured)
     Console().print(table)
