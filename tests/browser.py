@@ -70,7 +70,7 @@ class Browser:
     def open(self, page: Path, *, width: int) -> None:
         """Open a page in a window of a width, and wait until all of it is there."""
         self.events.clear()
-        self.call("Emulation.setEmulatedMedia", media="screen")
+        self.call("Emulation.setEmulatedMedia", media="")
         self.resize(width, 900)
         self.call("Page.navigate", url=page.absolute().as_uri())
         while not any(event.get("method") == "Page.loadEventFired" for event in self.events):
@@ -165,16 +165,16 @@ def headless_browser() -> Iterator[Browser]:
 def check_page(browser: Browser, page: Path) -> None:
     """Hold a page against what every page must be: whole at any width, reachable, printable."""
     browser.open(page, width=WIDTHS_PX[0])
+    _check_keyboard(browser)
     for width in WIDTHS_PX:
         browser.resize(width, 900)
         faults = browser.told() + browser.evaluate(_NOT_SHOWN) + browser.evaluate(_FAINT)
         assert not faults, f"{page.name} at {width} pixels: {'; '.join(faults)}"
-    _check_keyboard(browser)
     _check_print(browser)
 
 
 def _check_keyboard(browser: Browser) -> None:
-    """Every control takes the focus, in the page's order, and shows it; keys move each slider."""
+    """Every control takes the focus, in the page's order, and shows it; keys move and open it."""
     controls = browser.evaluate(f"window.controls = {_CONTROLS}; controls.length")
     for number in range(controls):
         browser.press("Tab", 9)
@@ -188,21 +188,26 @@ def _check_keyboard(browser: Browser) -> None:
             after = browser.evaluate(_PARTED_AT)
             moved = [before[0] + 1, f"{before[0] + 1}%"]
             assert after == moved, f"control {number} does not move the pictures"
+        if browser.evaluate("document.activeElement.tagName") == "SUMMARY":
+            browser.press(" ", 32)
+            opened = browser.evaluate("document.activeElement.parentElement.open")
+            assert opened, f"control {number} opens nothing"
 
 
 def _check_print(browser: Browser) -> None:
-    """No figure is cut by the end of a sheet, nor parted from its caption."""
+    """No figure is folded away, cut by the end of a sheet, or parted from its caption."""
+    browser.evaluate("document.querySelectorAll('details').forEach(fold => fold.open = false)")
     browser.resize(*_PAPER_PX)
     browser.call("Emulation.setEmulatedMedia", media="print")
     faults, figures = browser.evaluate(_NOT_SHOWN), browser.evaluate(_FIGURES)
-    browser.call("Emulation.setEmulatedMedia", media="screen")
+    browser.call("Emulation.setEmulatedMedia", media="")
     assert not faults, f"printed: {'; '.join(faults)}"
     for figure in figures:
         assert figure["kept"] == "avoid", "a figure may be parted"
         assert figure["height"] <= _PAPER_PX[1], "a figure is longer than a sheet"
     # A picture that goes over to another sheet is drawn on both.
     drawn = sum(len(re.findall(rb"/X\d+ Do\b", stream)) for stream in _streams(browser.pdf()))
-    assert drawn == browser.evaluate("document.images.length"), "a picture is cut"
+    assert drawn == browser.evaluate("document.images.length"), "a picture is cut, or folded away"
 
 
 def _streams(pdf: bytes) -> Iterator[bytes]:

@@ -33,6 +33,14 @@ class Picture:
 
 
 @dataclass(frozen=True)
+class Fold:
+    """Pictures that are shown when they are asked for, and in print; what asks for them."""
+
+    title: str
+    pictures: tuple[Picture, ...]
+
+
+@dataclass(frozen=True)
 class Comparison:
     """Two pictures of one size, laid over one another and parted by a slider."""
 
@@ -60,6 +68,8 @@ class Section:
     tables : tuple of Table
     comparisons : tuple of Comparison
     pictures : tuple of Picture
+    fold : Fold or None
+        Below the pictures.
     small : bool
         Whether the pictures stand close together.
     """
@@ -69,6 +79,7 @@ class Section:
     tables: tuple[Table, ...] = ()
     comparisons: tuple[Comparison, ...] = ()
     pictures: tuple[Picture, ...] = ()
+    fold: Fold | None = None
     small: bool = False
 
     @property

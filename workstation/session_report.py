@@ -23,7 +23,7 @@ from render.views import NamedView, named_view
 from workstation.copy_writing import copy_title
 from workstation.quality_curve import QualityCurve, shipped_curve
 from workstation.report_maps import draw_map, shaded_relief
-from workstation.report_page import Picture, Section, Table, write_page
+from workstation.report_page import Fold, Picture, Section, Table, write_page
 from workstation.report_quality import quality_section
 from workstation.report_reflectance import held_out_section, reflectance_section
 from workstation.report_sources import calibration_behind
@@ -163,13 +163,15 @@ def _captured(session: Session, *, title: str = "What was captured") -> Section:
         ("most saturated frame", f"{100 * saturated:.2g} % of its samples"),
         ("digest of the session", session.digest),
     ]
+    first, *others = (
+        Picture(f"Every frame, in the order of the plan{part}", _jpeg(sheet), wide=True)
+        for sheet, part in zip(sheets, _parts(len(sheets)), strict=True)
+    )
     return Section(
         title,
         tables=(Table(tuple(rows)),),
-        pictures=tuple(
-            Picture(f"Every frame, in the order of the plan{part}", _jpeg(sheet), wide=True)
-            for sheet, part in zip(sheets, _parts(len(sheets)), strict=True)
-        ),
+        pictures=(first,),
+        fold=Fold(f"The other sheets ({len(others)})", tuple(others)) if others else None,
     )
 
 

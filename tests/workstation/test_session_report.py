@@ -21,7 +21,7 @@ from fitting.digital_copy import ReflectanceMaps
 from workstation.copy_writing import HELD_OUT_FILE, HELD_OUT_FOLDER
 from workstation.demonstration import record_simulated_scan
 from workstation.report_maps import draw_map, shaded_relief
-from workstation.report_page import Comparison, Picture, Section, typeset, write_page
+from workstation.report_page import Comparison, Fold, Picture, Section, typeset, write_page
 from workstation.session_report import PARTS, write_session_report
 
 ERRORS = {
@@ -251,6 +251,19 @@ def test_a_slider_parts_two_pictures_and_can_be_moved_by_keys(browser, tmp_path)
         assert (left - 16) / (right + 1 - 16) == pytest.approx(parted, abs=0.01)
 
 
+def test_folded_pictures_are_shown_when_they_are_asked_for_and_in_print(browser, tmp_path):
+    grey = cv2.imencode(".png", np.full((60, 80, 3), 90, np.uint8))[1].tobytes()
+    first, second, third = (Picture(name, grey) for name in ("first", "second", "third"))
+    section = Section("Sheets", pictures=(first,), fold=Fold("The others (2)", (second, third)))
+    write_page(tmp_path / "p.html", title="t", summary="s", sections=(section,))
+    browser.open(tmp_path / "p.html", width=400)
+    shown = "[...document.images].filter(one => one.checkVisibility()).map(one => one.alt)"
+    assert browser.evaluate(shown) == ["first"]
+    browser.evaluate("document.querySelector('summary').click()")
+    assert browser.evaluate(shown) == ["first", "second", "third"]
+    check_page(browser, tmp_path / "p.html")
+
+
 @pytest.mark.parametrize(
     ("written", "printed"),
     [
@@ -278,9 +291,11 @@ FAULTS = {
     "asked for http://127.0.0.1:9/x.png": "<img alt='elsewhere' src='http://127.0.0.1:9/x.png'>",
     "control 0 does not show the focus": "<button style='outline: none'>unseen</button>",
     "control 0 is not reached": "<button tabindex='-1'>unreached</button>",
+    "control 0 opens nothing": "<details><summary onclick='return false'>shut</summary></details>",
     "a figure may be parted": "<figure style='break-inside: auto'>parted</figure>",
     "a figure is longer than a sheet": "<figure style='height: 1100px'>long</figure>",
     "a picture is cut": "<img alt='long' style='width: 9px; height: 1500px' src='DATA'>",
+    "or folded away": "<details><summary>more</summary><img alt='grey' src='DATA'></details>",
 }
 
 
