@@ -85,6 +85,6 @@ def print_records(records: list[Record]) -> None:
         table.add_column(heading, no_wrap=True)
     for record in records:
         name, *measured, note = record_row(record)
-        below = [Padding(Text(note, style="dim"), (0, 0, 0, 2))] if note else []
-        table.add_row(Group(Text(name), *below), *measured)
+        below = [Padding(Text(note, style="dim", overflow="fold"), (0, 0, 0, 2))] if note else []
+        table.add_row(Group(Text(name, overflow="fold"), *below), *measured)
     Console().print(table)

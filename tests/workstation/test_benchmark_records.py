@@ -25,14 +25,17 @@ def test_whether_a_bound_holds(value, bound, sense, holds):
     assert record.as_json()["sense"] == str(sense)
 
 
-def test_a_printed_note_stands_in_whole_words_below_its_figure(capsys, monkeypatch):
+def test_printed_records_keep_long_names_whole_and_have_notes_in_whole_words(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
+    name = "pipeline.skip.lobes_of_diffuse_texels.torture.height_error"
     note = "of photographs kept out of the fit; their noise alone leaves 51.5 dB"
     print_records(
-        [Record(name="a.b", value=1.0, unit="mm", bound=1.2, sense=Sense.AT_MOST, note=note)]
+        [Record(name=name, value=1.0, unit="mm", bound=(0.8, 1.2), sense=Sense.WITHIN, note=note)]
     )
     printed = capsys.readouterr().out
-    heading, first, below = printed.index("figure"), printed.index("a.b"), printed.index("of photo")
-    assert heading < first < below
-    assert "at most 1.2" in printed
+    assert "1 mm within 0.8 to 1.2 yes" in " ".join(printed.split())
+    # The name is folded where its column ends; the figure stands beside its start.
+    start, below = printed.index("pipeline"), printed.index("of photo")
+    shown = "".join(printed[start:below].split())
+    assert shown.replace("1mmwithin0.8to1.2yes", "") == name
     assert " ".join(printed[below:].split()) == note
