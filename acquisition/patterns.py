@@ -176,7 +176,7 @@ def pattern_image(
     if response is not None and isinstance(pattern, PhaseShift):
         profile = response.level_of(profile)
     # Where a fringe crosses its middle, half way between two levels, the last bit of a cosine must
-    # not decide: the picture, and its digest, are the same with every mathematical library.
+    # not decide, which another mathematical library may round otherwise.
     levels = np.round(np.round(255 * profile, 6)).astype(np.uint8)
     line = levels[np.newaxis, :] if along_columns else levels[:, np.newaxis]
     return np.ascontiguousarray(np.broadcast_to(line, (height, width)))

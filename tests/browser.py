@@ -29,6 +29,7 @@ _OPTIONS = (
 )
 _ANSWER_S = 60.0
 WIDTHS_PX = (400, 700, 1600)
+A4_MM, LETTER_MM = (210.0, 297.0), (215.9, 279.4)
 # What A4 leaves between the margins that the pages ask for, in CSS pixels.
 _PAPER_PX = 180 / 25.4 * 96, 267 / 25.4 * 96
 _FIT_FOR_EYES = 4.5  # contrast of small text, by WCAG 2.2, 1.4.3
@@ -98,12 +99,12 @@ class Browser:
         """What is in the window, as PNG."""
         return base64.b64decode(self.call("Page.captureScreenshot")["data"])
 
-    def pdf(self) -> bytes:
-        """The page as it is printed on A4."""
-        size = {"paperWidth": 210 / 25.4, "paperHeight": 297 / 25.4}
-        return base64.b64decode(
-            self.call("Page.printToPDF", **size, preferCSSPageSize=True)["data"]
-        )
+    def pictures_printed(self, *, paper_mm: tuple[float, float] = A4_MM) -> list[int]:
+        """How many pictures are drawn on each sheet that has some, of the page as it is printed."""
+        size = {"paperWidth": paper_mm[0] / 25.4, "paperHeight": paper_mm[1] / 25.4}
+        pdf = self.call("Page.printToPDF", **size, preferCSSPageSize=True)["data"]
+        drawn = (re.findall(rb"/X\d+ Do\b", stream) for stream in _streams(base64.b64decode(pdf)))
+        return [len(pictures) for pictures in drawn if pictures]
 
     def told(self) -> list[str]:
         """Messages of the page's console, and what the page asked of others."""
@@ -165,16 +166,18 @@ def headless_browser() -> Iterator[Browser]:
 def check_page(browser: Browser, page: Path) -> None:
     """Hold a page against what every page must be: whole at any width, reachable, printable."""
     browser.open(page, width=WIDTHS_PX[0])
+    for opened in _FOLDS if browser.evaluate("!!document.querySelector('details')") else _FOLDS[:1]:
+        browser.evaluate(opened)
+        for width in WIDTHS_PX:
+            browser.resize(width, 900)
+            faults = browser.told() + browser.evaluate(_NOT_SHOWN) + browser.evaluate(_FAINT)
+            assert not faults, f"{page.name} at {width} pixels: {'; '.join(faults)}"
     _check_keyboard(browser)
-    for width in WIDTHS_PX:
-        browser.resize(width, 900)
-        faults = browser.told() + browser.evaluate(_NOT_SHOWN) + browser.evaluate(_FAINT)
-        assert not faults, f"{page.name} at {width} pixels: {'; '.join(faults)}"
     _check_print(browser)
 
 
 def _check_keyboard(browser: Browser) -> None:
-    """Every control takes the focus, in the page's order, and shows it; keys move and open it."""
+    """Every control takes the focus, in the page's order, and shows it; keys work each."""
     controls = browser.evaluate(f"window.controls = {_CONTROLS}; controls.length")
     for number in range(controls):
         browser.press("Tab", 9)
@@ -189,14 +192,14 @@ def _check_keyboard(browser: Browser) -> None:
             moved = [before[0] + 1, f"{before[0] + 1}%"]
             assert after == moved, f"control {number} does not move the pictures"
         if browser.evaluate("document.activeElement.tagName") == "SUMMARY":
+            before = browser.evaluate(_OPEN)
             browser.press(" ", 32)
-            opened = browser.evaluate("document.activeElement.parentElement.open")
-            assert opened, f"control {number} opens nothing"
+            assert browser.evaluate(_OPEN) != before, f"control {number} opens nothing"
 
 
 def _check_print(browser: Browser) -> None:
     """No figure is folded away, cut by the end of a sheet, or parted from its caption."""
-    browser.evaluate("document.querySelectorAll('details').forEach(fold => fold.open = false)")
+    browser.evaluate(_FOLDS[0])
     browser.resize(*_PAPER_PX)
     browser.call("Emulation.setEmulatedMedia", media="print")
     faults, figures = browser.evaluate(_NOT_SHOWN), browser.evaluate(_FIGURES)
@@ -206,7 +209,7 @@ def _check_print(browser: Browser) -> None:
         assert figure["kept"] == "avoid", "a figure may be parted"
         assert figure["height"] <= _PAPER_PX[1], "a figure is longer than a sheet"
     # A picture that goes over to another sheet is drawn on both.
-    drawn = sum(len(re.findall(rb"/X\d+ Do\b", stream)) for stream in _streams(browser.pdf()))
+    drawn = sum(browser.pictures_printed())
     assert drawn == browser.evaluate("document.images.length"), "a picture is cut, or folded away"
 
 
@@ -219,6 +222,12 @@ def _streams(pdf: bytes) -> Iterator[bytes]:
 
 
 _CONTROLS = "[...document.querySelectorAll('a[href], button, input, select, summary, textarea')]"
+# Folds shut, and open.
+_FOLDS = tuple(
+    f"document.querySelectorAll('details').forEach(fold => {{ fold.open = {state}; }})"
+    for state in ("false", "true")
+)
+_OPEN = "document.activeElement.parentElement.open"
 _FOCUS_SHOWN = """(() => {
   const style = getComputedStyle(document.activeElement);
   return style.outlineStyle === 'solid' && parseFloat(style.outlineWidth) >= 2;

@@ -6,10 +6,9 @@ from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
 
-from rich import box
-from rich.console import Console, Group
+from rich.cells import cell_len, set_cell_size
+from rich.console import Console
 from rich.padding import Padding
-from rich.table import Table
 from rich.text import Text
 
 
@@ -79,12 +78,19 @@ def record_row(record: Record) -> tuple[str, ...]:
 
 
 def print_records(records: list[Record]) -> None:
-    """Print records as a table on standard output, each with its note below its name."""
-    table = Table("figure", box=box.SIMPLE_HEAD, pad_edge=False)
-    for heading in ("value", "bound", "holds"):
-        table.add_column(heading, no_wrap=True)
-    for record in records:
-        name, *measured, note = record_row(record)
-        below = [Padding(Text(note, style="dim", overflow="fold"), (0, 0, 0, 2))] if note else []
-        table.add_row(Group(Text(name, overflow="fold"), *below), *measured)
-    Console().print(table)
+    """Print records as a table on standard output, each with its note below it.
+
+    Names are never cut, so that they can be searched for: where the window is too narrow for the
+    table, what was measured stands below the name.
+    """
+    console = Console()
+    rows = [("figure", "value", "bound", "holds", ""), *map(record_row, records)]
+    widths = [max(map(cell_len, column)) for column in zip(*rows, strict=True)]
+    beside = sum(widths[:-1]) + 2 * len(widths[:-2]) <= console.width
+    for *cells, note in rows:
+        name, *measured = (set_cell_size(*cell) for cell in zip(cells, widths, strict=False))
+        lines = ["  ".join((name, *measured))] if beside else [name, "  " + "  ".join(measured)]
+        for line in lines:
+            console.print(Text(line.rstrip()), soft_wrap=True)
+        if note:
+            console.print(Padding(Text(note, style="dim", overflow="fold"), (0, 0, 0, 4)))

@@ -25,17 +25,26 @@ def test_whether_a_bound_holds(value, bound, sense, holds):
     assert record.as_json()["sense"] == str(sense)
 
 
-def test_printed_records_keep_long_names_whole_and_have_notes_in_whole_words(capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "80")
+@pytest.mark.parametrize("columns", [30, 80, 120])
+def test_a_printed_name_is_never_cut_and_its_note_stands_in_whole_words(
+    columns, capsys, monkeypatch
+):
+    monkeypatch.setenv("COLUMNS", str(columns))
     name = "pipeline.skip.lobes_of_diffuse_texels.torture.height_error"
     note = "of photographs kept out of the fit; their noise alone leaves 51.5 dB"
+    bound = (0.8, 1.2)
     print_records(
-        [Record(name=name, value=1.0, unit="mm", bound=(0.8, 1.2), sense=Sense.WITHIN, note=note)]
+        [
+            Record(name=name, value=1.0, unit="[m]", bound=bound, sense=Sense.WITHIN, note=note),
+            Record(name="b", value=2.0, unit="µm", bound=1.2, sense=Sense.AT_MOST),
+        ]
     )
-    printed = capsys.readouterr().out
-    assert "1 mm within 0.8 to 1.2 yes" in " ".join(printed.split())
-    # The name is folded where its column ends; the figure stands beside its start.
-    start, below = printed.index("pipeline"), printed.index("of photo")
-    shown = "".join(printed[start:below].split())
-    assert shown.replace("1mmwithin0.8to1.2yes", "") == name
-    assert " ".join(printed[below:].split()) == note
+    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    measured = "1 [m] within 0.8 to 1.2 yes"
+    if columns > 100:
+        assert lines[1] == f"{name} {measured}"
+    else:
+        assert lines[2:4] == [name, measured]
+    assert lines[-1].endswith("2 µm at most 1.2 NO")
+    said = " ".join(lines)
+    assert said[said.index("of photo") :].startswith(f"{note} b")

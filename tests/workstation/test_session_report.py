@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from browser import check_page
+from browser import A4_MM, LETTER_MM, check_page
 from impasto_command import impasto
 from synthetic_copy import make_copy
 
@@ -252,15 +252,19 @@ def test_a_slider_parts_two_pictures_and_can_be_moved_by_keys(browser, tmp_path)
 
 
 def test_folded_pictures_are_shown_when_they_are_asked_for_and_in_print(browser, tmp_path):
-    grey = cv2.imencode(".png", np.full((60, 80, 3), 90, np.uint8))[1].tobytes()
-    first, second, third = (Picture(name, grey) for name in ("first", "second", "third"))
-    section = Section("Sheets", pictures=(first,), fold=Fold("The others (2)", (second, third)))
+    # As large as contact sheets, of which two go on a sheet of paper.
+    grey = cv2.imencode(".png", np.full((831, 1334), 90, np.uint8))[1].tobytes()
+    names = ["first", "second", "third", "fourth", "fifth"]
+    first, *others = (Picture(name, grey, wide=True) for name in names)
+    section = Section("Sheets", pictures=(first,), fold=Fold("The others (4)", tuple(others)))
     write_page(tmp_path / "p.html", title="t", summary="s", sections=(section,))
     browser.open(tmp_path / "p.html", width=400)
     shown = "[...document.images].filter(one => one.checkVisibility()).map(one => one.alt)"
-    assert browser.evaluate(shown) == ["first"]
+    assert browser.evaluate(shown) == names[:1]
+    for paper_mm in (A4_MM, LETTER_MM):
+        assert browser.pictures_printed(paper_mm=paper_mm) == [1, 2, 2]
     browser.evaluate("document.querySelector('summary').click()")
-    assert browser.evaluate(shown) == ["first", "second", "third"]
+    assert browser.evaluate(shown) == names
     check_page(browser, tmp_path / "p.html")
 
 
