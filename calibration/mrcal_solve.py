@@ -34,11 +34,6 @@ from calibration.view_seeds import check_views, seed_lenses
 OUTLIER_SIGMAS = 5.0
 
 
-def splined_model(*, columns: int, rows: int, fov_deg: float) -> str:
-    """Name, in mrcal, of a cubic splined stereographic model."""
-    return f"{SPLINED}_order=3_Nx={columns}_Ny={rows}_fov_x_deg={round(fov_deg)}"
-
-
 def solve_lenses(
     views: list[BoardView],
     board: Chessboard,

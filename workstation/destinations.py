@@ -188,6 +188,10 @@ def _check_filled(name: str, path: Path) -> None:
 def _check_file(name: str, path: Path) -> None:
     if path.is_dir():
         raise DestinationError(f"{name} {path} is a folder; name a file")
+    if path.exists() and not path.is_file():
+        raise DestinationError(
+            f"{name} {path} is a device or pipe, which it would replace: name a file"
+        )
     if not path.parent.is_dir():
         raise DestinationError(f"{name} {path}: there is no folder {path.parent}; make it first")
 

@@ -18,12 +18,14 @@ def check_json_path(path: Path | None) -> Path | None:
     Raises
     ------
     typer.BadParameter
-        It has no folder to lie in, or is one.
+        It has no folder to lie in, is one, or is neither file nor folder.
     """
     if path is not None and not path.parent.is_dir():
         raise typer.BadParameter(f"there is no folder {path.parent}; make it first")
     if path is not None and path.is_dir():
         raise typer.BadParameter(f"{path} is a folder; name a file")
+    if path is not None and path.exists() and not path.is_file():
+        raise typer.BadParameter(f"{path} is a device or pipe, which it would replace; name a file")
     return path
 
 

@@ -36,8 +36,6 @@ _VALUES = set("FIJKLNPRSTXYZ")
 _UNSUPPORTED = {"G2", "G3", "G10", "G28", "G28.1", "G30", "G30.1", "G43.1"} | {
     command for command in _GROUPS["motion"] if command.startswith("G38")
 }
-# Commands that use the axis words for something else than motion.
-_TAKES_AXES = {"G10", "G28", "G30", "G92", "G43.1", "G49"}
 
 
 class RefusedLineError(Exception):

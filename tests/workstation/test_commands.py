@@ -43,6 +43,23 @@ def test_help_names_every_command_and_each_shows_an_example():
         assert "Example:" in impasto(command, "--help").stdout
 
 
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        (f"scan {SIMULATED_RIG} --out s --dry-run --target-px inf", "--target-px: inf is not"),
+        (f"scan {SIMULATED_RIG} --out s --dry-run --exposure 9 --exposure nan", "--exposure"),
+        ("demo --seed 2147483648", "--seed"),
+        ("process --lp lights.lp --out copy --pitch 0", "--pitch"),
+        (f"scan {SIMULATED_RIG} --out s --dry-run --json /dev/null", "a device or pipe"),
+    ],
+)
+def test_options_that_no_command_can_mean_are_refused_by_name(line, told, tmp_path):
+    done = impasto(*line.split(), cwd=tmp_path)
+    assert done.returncode == 2
+    assert told in done.stderr
+    assert not any(tmp_path.iterdir())
+
+
 def examples():
     """Every command line of the commands' examples: the command, and its words."""
     app = typer.Typer()

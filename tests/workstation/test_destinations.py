@@ -109,6 +109,7 @@ def test_a_damaged_session_takes_nothing_either(desk):
         ({"makes": {"--out": "demo"}, "writes": {"--json": "demo/f.json"}}, "--json .* --out"),
         ({"writes": {"--out": "f", "--json": "./f"}}, "is or lies in"),
         ({"writes": {"--out": "demo"}}, "is a folder; name a file"),
+        ({"writes": {"--out": "/dev/null"}}, "is a device or pipe.* name a file"),
         ({"writes": {"--out": "none/f"}}, "no folder none; make it"),
         ({"fills": {"--report": "lamps.json"}}, "is a file; name a folder"),
         ({"makes": {"--out": "lamps.json/c"}}, "lamps.json is no folder"),

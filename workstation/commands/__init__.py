@@ -20,6 +20,7 @@ from workstation.commands import (
     scan,
     view,
 )
+from workstation.finite_options import finite_only
 
 # In the order of the help: from the rig to the copy.
 _COMMANDS = (
@@ -42,5 +43,8 @@ _COMMANDS = (
 
 def register(app: typer.Typer) -> None:
     """Add every command to the application."""
-    for command in _COMMANDS:
-        command.register(app)
+    for module in _COMMANDS:
+        module.register(app)
+    for command in app.registered_commands:
+        assert command.callback is not None
+        command.callback = finite_only(command.callback)

@@ -25,7 +25,9 @@ def register(app: typer.Typer) -> None:
 
 def demo(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder to make.")] = Path("out/demo"),
-    seed: Annotated[int, typer.Option(min=0, help="Of the painting and the noise.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, max=2**31 - 1, help="Of the painting and the noise.")
+    ] = 0,
     size: Annotated[
         Size, typer.Option(help="A tiny one has small pictures, and a rig that is declared.")
     ] = Size.USUAL,

@@ -75,7 +75,9 @@ def process(
     ] = False,
     pitch: Annotated[
         float | None,
-        typer.Option(metavar="MM", help="Texel pitch; of --lp, a pixel's. Default: the points'."),
+        typer.Option(
+            min=1e-6, metavar="MM", help="Texel pitch; of --lp, a pixel's. Default: the points'."
+        ),
     ] = None,
     delta0: Annotated[
         float | None,
@@ -129,7 +131,9 @@ def process(
         beside={f"--out ({what})": path for what, path in places_beside(out).items()},
     )
     if lp is not None:
-        _process_pictures(lp, out, pitch or 1.0, linear, choices, json, force=force)
+        _process_pictures(
+            lp, out, 1.0 if pitch is None else pitch, linear, choices, json, force=force
+        )
         return
     assert session is not None  # by the check above
     inputs = _Inputs(session, calibration, photographs, lamps)
