@@ -31,7 +31,7 @@ _ANSWER_S = 60.0
 WIDTHS_PX = (400, 700, 1600)
 A4_MM, LETTER_MM = (210.0, 297.0), (215.9, 279.4)
 # What A4 leaves between the margins that the pages ask for, in CSS pixels.
-_PAPER_PX = 180 / 25.4 * 96, 267 / 25.4 * 96
+_PAPER_PX = tuple((side_mm - 2 * 15) / 25.4 * 96 for side_mm in A4_MM)
 _FIT_FOR_EYES = 4.5  # contrast of small text, by WCAG 2.2, 1.4.3
 
 
@@ -166,14 +166,26 @@ def headless_browser() -> Iterator[Browser]:
 def check_page(browser: Browser, page: Path) -> None:
     """Hold a page against what every page must be: whole at any width, reachable, printable."""
     browser.open(page, width=WIDTHS_PX[0])
-    for opened in _FOLDS if browser.evaluate("!!document.querySelector('details')") else _FOLDS[:1]:
-        browser.evaluate(opened)
-        for width in WIDTHS_PX:
-            browser.resize(width, 900)
-            faults = browser.told() + browser.evaluate(_NOT_SHOWN) + browser.evaluate(_FAINT)
-            assert not faults, f"{page.name} at {width} pixels: {'; '.join(faults)}"
+    if _set_folds(browser, opened=True):
+        _check_widths(browser, page)
+    _set_folds(browser, opened=False)
+    _check_widths(browser, page)
     _check_keyboard(browser)
     _check_print(browser)
+
+
+def _set_folds(browser: Browser, *, opened: bool) -> int:
+    """Open or shut every fold; how many there are."""
+    browser.evaluate("window.folds = document.querySelectorAll('details')")
+    browser.evaluate(f"folds.forEach(fold => {{ fold.open = {json.dumps(opened)}; }})")
+    return int(browser.evaluate("folds.length"))
+
+
+def _check_widths(browser: Browser, page: Path) -> None:
+    for width in WIDTHS_PX:
+        browser.resize(width, 900)
+        faults = browser.told() + browser.evaluate(_NOT_SHOWN) + browser.evaluate(_FAINT)
+        assert not faults, f"{page.name} at {width} pixels: {'; '.join(faults)}"
 
 
 def _check_keyboard(browser: Browser) -> None:
@@ -199,7 +211,7 @@ def _check_keyboard(browser: Browser) -> None:
 
 def _check_print(browser: Browser) -> None:
     """No figure is folded away, cut by the end of a sheet, or parted from its caption."""
-    browser.evaluate(_FOLDS[0])
+    _set_folds(browser, opened=False)
     browser.resize(*_PAPER_PX)
     browser.call("Emulation.setEmulatedMedia", media="print")
     faults, figures = browser.evaluate(_NOT_SHOWN), browser.evaluate(_FIGURES)
@@ -222,11 +234,6 @@ def _streams(pdf: bytes) -> Iterator[bytes]:
 
 
 _CONTROLS = "[...document.querySelectorAll('a[href], button, input, select, summary, textarea')]"
-# Folds shut, and open.
-_FOLDS = tuple(
-    f"document.querySelectorAll('details').forEach(fold => {{ fold.open = {state}; }})"
-    for state in ("false", "true")
-)
 _OPEN = "document.activeElement.parentElement.open"
 _FOCUS_SHOWN = """(() => {
   const style = getComputedStyle(document.activeElement);

@@ -85,10 +85,11 @@ def print_records(records: list[Record]) -> None:
     """
     console = Console()
     rows = [("figure", "value", "bound", "holds", ""), *map(record_row, records)]
-    widths = [max(map(cell_len, column)) for column in zip(*rows, strict=True)]
-    beside = sum(widths[:-1]) + 2 * len(widths[:-2]) <= console.width
+    *columns, _ = zip(*rows, strict=True)
+    widths = [max(map(cell_len, column)) for column in columns]
+    beside = sum(widths) + 2 * (len(widths) - 1) <= console.width
     for *cells, note in rows:
-        name, *measured = (set_cell_size(*cell) for cell in zip(cells, widths, strict=False))
+        name, *measured = map(set_cell_size, cells, widths)
         lines = ["  ".join((name, *measured))] if beside else [name, "  " + "  ".join(measured)]
         for line in lines:
             console.print(Text(line.rstrip()), soft_wrap=True)

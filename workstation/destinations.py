@@ -98,7 +98,8 @@ def check_destinations(
     for name, path in filled:
         _check_filled(name, path)
     for name, path in written:
-        _check_file(name, path)
+        if reason := why_no_file(path):
+            raise DestinationError(f"{name} {reason}")
     for name, path in coming:
         if path.is_dir():
             raise DestinationError(f"{name} {path} is a folder: choose another place")
@@ -185,15 +186,15 @@ def _check_filled(name: str, path: Path) -> None:
         raise DestinationError(f"{name} {path} is a file; name a folder")
 
 
-def _check_file(name: str, path: Path) -> None:
+def why_no_file(path: Path) -> str | None:
+    """Why a file cannot be written at a place, which is named; None if nothing is in the way."""
     if path.is_dir():
-        raise DestinationError(f"{name} {path} is a folder; name a file")
+        return f"{path} is a folder; name a file"
     if path.exists() and not path.is_file():
-        raise DestinationError(
-            f"{name} {path} is a device or pipe, which it would replace: name a file"
-        )
+        return f"{path} is a device or pipe, which it would replace; name a file"
     if not path.parent.is_dir():
-        raise DestinationError(f"{name} {path}: there is no folder {path.parent}; make it first")
+        return f"{path}: there is no folder {path.parent}; make it first"
+    return None
 
 
 def _check_against_each_other(

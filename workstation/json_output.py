@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from acquisition.atomic_files import write_bytes
+from workstation.destinations import why_no_file
 
 
 def check_json_path(path: Path | None) -> Path | None:
@@ -20,12 +21,8 @@ def check_json_path(path: Path | None) -> Path | None:
     typer.BadParameter
         It has no folder to lie in, is one, or is neither file nor folder.
     """
-    if path is not None and not path.parent.is_dir():
-        raise typer.BadParameter(f"there is no folder {path.parent}; make it first")
-    if path is not None and path.is_dir():
-        raise typer.BadParameter(f"{path} is a folder; name a file")
-    if path is not None and path.exists() and not path.is_file():
-        raise typer.BadParameter(f"{path} is a device or pipe, which it would replace; name a file")
+    if path is not None and (reason := why_no_file(path)):
+        raise typer.BadParameter(reason)
     return path
 
 
